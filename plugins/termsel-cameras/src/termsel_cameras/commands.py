@@ -109,8 +109,9 @@ def _choose_projection(sheets: list[FeatureSet], candidates: Path | None,
     """Print how well each projection predicts the sheets, and return the CRS of the chosen one.
 
     With it returns the name of a projection that is no candidate and by which the sheets contradict
-    all of them, "" where there is none. Raises TermselError if no sheet has enough points, or none
-    determines a model.
+    all of them, "" where there is none. `candidates` is a file of projections to choose from, and
+    `century` that of the map, if they are given. Raises TermselError if no sheet has enough points,
+    or none determines a model.
     """
     from termsel_cameras.sheets.candidates import candidates_of
     from termsel_cameras.sheets.choosing import (
@@ -125,6 +126,7 @@ def _choose_projection(sheets: list[FeatureSet], candidates: Path | None,
     # What no candidate is, is ranked as well: it may be far more probable than all of them.
     others = [usual for usual in candidates_of(sheets, None, None) if usual.crs not in stated]
     better = None
+    # Sheets that share their paper tell more than each by itself, if there are enough of them.
     # One ranking of all, as blunders, and so the points that count, depend on what is ranked.
     if with_others := rank_by_series(sheets, [*projections, *others]):
         better = contradicting(with_others, projections)
@@ -172,9 +174,10 @@ def _figure(projection: Tried) -> str:
 
 
 def _say_paper(series: Series) -> None:
-    """Print the means and spreads of scale, turn, stretch and shear, and the noise of a series.
+    """Print the paper of a series: means and spreads of its scale, turn, stretch and shear.
 
-    A warning follows if the scales differ more than those of one series do.
+    The noise follows, which is what an affine map leaves of a sheet, and a warning if the scales
+    differ more than those of one series do.
     """
     from termsel_cameras.sheets.paper import paper_of, reason_against
 
@@ -182,6 +185,7 @@ def _say_paper(series: Series) -> None:
         echo("No sheet has the 4 points that an estimate of its paper requires.")
         return
     paper = paper_of(series.sheets)
+    # Scales are logarithms, so that their spread is a relative one.
     scale, turn, stretch, shear = paper.spreads
     echo(f"Paper by {count_in_words(len(series.sheets), 'sheet')}: {math.exp(paper.means[0]):.5g} "
          f"px per unit of ground (standard deviation {100 * scale:,.2f} %), turn "
@@ -232,6 +236,7 @@ def flight_camera(photos: tuple[Path, ...], crs: str | None, size: tuple[int, in
 
     require_replaceable([output], reads=photos, overwrite=overwrite, written_as="JSON")
     show_messages()
+    # All photos of a flight have the same notes.
     with say_once("photo"):
         read_photos = [_read_photo(photo, crs, size) for photo in photos]
     camera = shared_camera(read_photos, size, focal)

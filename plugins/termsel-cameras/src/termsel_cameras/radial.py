@@ -86,10 +86,11 @@ class Radial(SensorModel):
                                heights=self.uses_height)
 
     def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return image positions of ground points, shape (..., n, 2).
+        """Return image positions (..., n, 2) of scaled ground points `ground` (n, 3).
 
-        They are those which the corrections move to the undistorted positions of the polynomials.
-        NaN where there is none, or where the distortion is found to fold the image over.
+        `coefficients` (..., k) are those of the terms. The positions are those which the radial
+        corrections move to the undistorted ones of the polynomials; NaN where there is none, or
+        where the distortion is found to fold the image over.
         """
         n = len(self._plain.terms)
         ideal = self._plain.project(coefficients[..., :n], ground)

@@ -414,7 +414,9 @@ def _no_area_error(bounds: Sequence[float], crs: str) -> TermselError:
 
 
 def _axis_nodes(low: float, high: float, intervals: int) -> FloatArray:
-    """Return evenly spaced nodes: those of `intervals` from `low` to `high`, and four beyond either.
+    """Return evenly spaced nodes from `low` to `high`, and four more beyond either end.
+
+    There are `intervals` from `low` to `high`.
     """
     step = (high - low) / intervals
     return np.asarray(low + step * np.arange(-_N_NODES_BEYOND, intervals + _N_NODES_BEYOND + 1))

@@ -245,6 +245,7 @@ def _interior_of_content(content: Mapping[str, Any], path: str) -> Interior:
     The focal length is required. Raises TermselError, which names `path`, for a focal length or
     spread that is not positive, and for values that are not as many numbers as expected.
     """
+    # Options are texts, so that numbers of a file are checked by the same functions.
     values = {name: _numbers_as_text(content.get(name)) for name in (
         "focal", "focal_spread", "principal_point", "distortion")}
     (focal,) = _parse_numbers({f"focal of {path}": values["focal"]}, f"focal of {path}", (1,))
@@ -286,9 +287,9 @@ def _pixel_size(stated: Mapping[str, str], named: SurveyCamera | None,
                 size: tuple[int, int] | None) -> tuple[float, float]:
     """Return the size of a pixel [mm], and its relative standard deviation.
 
-    It is the stated size, or else the longer side of the format of the type `named` divided by
-    that of the image, `size`. Raises TermselError if the type or the image's size is not known
-    either, and for a stated size that is no positive number.
+    It is the size that the options `stated` have, or else the longer side of the format of the type
+    `named` [mm] divided by that of the image, of which `size` has the lines and samples. Raises
+    TermselError if neither can be had, and for a stated size that is no positive number.
     """
     if "camera_pixel" in stated:
         return _stated_pixel_size(stated["camera_pixel"]), _STATED_PIXEL_SPREAD
@@ -302,6 +303,7 @@ def _pixel_size(stated: Mapping[str, str], named: SurveyCamera | None,
             "a focal length in mm does not give that in px without the size of the image",
             hint="Give the image: --image FILE. Or add the size of a pixel in micrometres, such as "
                  "--set camera_pixel=4.4.")
+    # The longer sides belong together, whichever way the photo was turned.
     pixel = max(named.width, named.height) / max(size)
     return pixel, _SENSOR_SPREAD if _is_from_sensor(named, size) else SCANNED_SPREAD
 

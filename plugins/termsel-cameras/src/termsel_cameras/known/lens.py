@@ -54,10 +54,11 @@ class Lens:
                         np.nan)
 
     def _radius_grows(self, r2: FloatArray) -> BoolArray:
-        """Return whether the distorted radius grows with the ideal one, tested at four radii.
+        """Return whether the distorted radius grows with the ideal one up to squared radii `r2`.
 
-        Their squares are a quarter, a half, three quarters and all of `r2`. Beyond a radius where
-        it shrinks, two ideal positions have one image.
+        It is tested at the squares r2 / 4, r2 / 2, 3 r2 / 4 and r2. What comes back has the shape
+        of `r2`. Beyond a radius where the distorted one shrinks, two ideal positions have one
+        image.
         """
         grows = np.ones(r2.shape, dtype=bool)
         with np.errstate(all="ignore"):
@@ -70,8 +71,8 @@ class Lens:
     def ideal(self, measured: FloatArray) -> FloatArray:
         """Return the ideal positions (..., 2) of measured ones, the inverse of `distorted`.
 
-        NaN where the iteration does not come within 1e-6 of the measured position, as beyond the
-        radius where the lens folds back.
+        Both are x and y (..., 2) divided by the focal length. NaN where the iteration does not come within
+        1e-6 of the measured position, as beyond the radius where the lens folds back.
         """
         if self.is_ideal:
             return measured

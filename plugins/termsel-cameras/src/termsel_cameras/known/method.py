@@ -114,7 +114,10 @@ class ByKnownCamera(Estimator):
                    stored_held_out=HeldOut.of(errors * scaling.image_scale, in_use))
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
-        """Return the mean square errors at scaled ground positions (see `Estimator.spread`)."""
+        """Return the mean square errors of image positions at scaled ground positions (m, 3).
+
+        They are of Student's distribution; see `Estimator.spread`.
+        """
         model = fitted.model
         assert isinstance(model, KnownFrame)
         camera = _camera_of(fitted)
@@ -147,7 +150,11 @@ def _errors_of(model: KnownFrame, camera: Pinhole, image: FloatArray) -> FloatAr
 
 
 def _derivatives_through_lens(model: KnownFrame, camera: Pinhole, ground: FloatArray) -> FloatArray:
-    """Return derivatives of image positions by the unknowns, (m, 2, 9), for `ground` (m, 3)."""
+    """Return the derivatives of image positions by the nine unknowns of a camera, (m, 2, 9).
+
+    `ground` (m, 3) are positions as `KnownFrame.local` gives them; image positions are scaled, and
+    those that the lens distorts.
+    """
     slopes: FloatArray = camera.camera.slopes(ground)[0]
     if model.lens.is_ideal:
         return slopes
@@ -252,7 +259,10 @@ class KnownCamera(Method):
         return 0.0
 
     def describe(self, fitted: Fit) -> str:
-        """Return sentences on the source of the camera, its tilt, height and focal length."""
+        """Return sentences on the camera of a fit: its source, tilt, height and focal length.
+
+        They say how well the focal length is known, and whether a position in the EXIF took part.
+        """
         model = fitted.model
         assert isinstance(model, KnownFrame)
         interior = _interior_of_points(FitData.of(fitted.control))
@@ -392,9 +402,13 @@ def _focal_in_words(interior: Interior) -> str:
 
 
 def _focal_of_points(fitted: Fit) -> str:
-    """Return a sentence if the points cannot show whether the focal length is right; else ""."""
+    """Return a sentence, after a space, if points do not show whether the focal length is right.
+
+    "" if they do.
+    """
     if fitted.used.sum() < MIN_POINTS_TO_CONTRADICT:
         return " So few points cannot show whether it is right."
+    # What the points alone show is seen with a focal length that is hardly known beforehand.
     free = _free_camera(_camera_of(fitted))
     spread = np.inf if free is None else _focal_spread(free)
     if spread < VAGUE_FOCAL:

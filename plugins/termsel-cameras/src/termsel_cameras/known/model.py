@@ -124,11 +124,17 @@ class KnownFrame(SensorModel):
 
     @classmethod
     def of(cls, interior: Interior, *, mirrored: bool) -> KnownFrame:
-        """Return the model with the options that state an interior; NaN is not stated."""
+        """Return the model of a camera with an interior orientation.
+
+        Its options state what the interior has; what is NaN there stays at its default.
+        `mirrored` says whether the scan is mirrored, as of a negative.
+        """
         def text(numbers: tuple[float, ...]) -> str:
+            """Return numbers as an option's text, with commas between."""
             return ",".join(map(repr, numbers))
 
         def number(value: float) -> float | None:
+            """Return a number as an option's value; None if it is not stated."""
             return float(value) if np.isfinite(value) else None
 
         return cls(focal=float(interior.focal), focal_spread=float(interior.focal_spread),
@@ -223,7 +229,11 @@ class KnownFrame(SensorModel):
 
     def _apply_lens(self, image: FloatArray,
                     lens_map: Callable[[FloatArray], FloatArray]) -> FloatArray:
-        """Return scaled image positions (..., 2) after a map of positions in units of the lens."""
+        """Return scaled image positions (..., 2) after the lens or its inverse, `lens_map`.
+
+        `lens_map` takes and returns x and y (..., 2) from the principal point, divided by the focal
+        length.
+        """
         if self.lens.is_ideal:
             return image
         assert self.scaling is not None
@@ -267,6 +277,7 @@ class KnownFrame(SensorModel):
         """
         position = np.full(3, np.nan)
         spread = np.full(3, np.nan)
+        # Lengths are divided by `unit`, as the equations of the camera have them.
         if self.options["position"]:
             assert self.scaling is not None
             coordinates = [float(number) for number in self.options["position"].split(",")]
@@ -296,6 +307,7 @@ class KnownFrame(SensorModel):
         """
         measured = self.measured(features, noise)
         camera = camera_of(measured)
+        # A focal length in mm taken for px is too short by a factor of some hundred.
         if camera is None:
             raise Undetermined("no camera of this focal length can see all control points",
                                hint="Check the focal length (in px; in mm write 35mm) and the "

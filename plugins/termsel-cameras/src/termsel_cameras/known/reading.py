@@ -92,6 +92,7 @@ class CameraOptions:
                   if options_given.get(name) is not None}
         if image is None:
             return stated
+        # Either of these two says which camera it is.
         sources = {"camera", "camera_focal"}
         if not sources & stated.keys() and not sources & features.points.attributes.keys():
             exif = options_of_exif(Path(image), features)
@@ -139,10 +140,12 @@ def _focal_of(tags: Mapping[str, str], size: tuple[int, int]) -> dict[str, str]:
 
     {} if the tags show neither. `size` is lines and samples of the image.
     """
+    # Cameras of the list are named by make and model, such as dji-fc6310.
     model = " ".join((tags.get("Make", ""), tags.get("Model", ""))).strip().lower()
     name = model.replace(" ", "-")
     if name in CAMERAS:
         return {"camera": name}
+    # An equivalent focal length is for a frame of 36 by 24 mm: f / diagonal is the same in both.
     diagonal_pixels = float(np.hypot(*size))
     equivalent = _number(tags.get("FocalLengthIn35mmFilm", ""))
     if equivalent > 0.0:
@@ -201,6 +204,7 @@ def _position_of(tags: Mapping[str, str], crs: str) -> dict[str, str]:
         _parse_degrees(tags.get(f"GPS{name}", "")) for name in ("Latitude", "Longitude"))
     if crs in ("", LOCAL) or latitude is None or longitude is None or "GPSAltitude" not in tags:
         return {}
+    # EXIF states degrees without signs, and the hemispheres apart.
     south = tags.get("GPSLatitudeRef", "N").strip().upper() == "S"
     west = tags.get("GPSLongitudeRef", "E").strip().upper() == "W"
     position = np.array([[-longitude if west else longitude, -latitude if south else latitude,

@@ -201,12 +201,14 @@ class _Flight:
         return focals
 
     def focal_of_least_cost(self, focals: FloatArray, k1: float, *, afresh: bool = False) -> float:
-        """Return the one of the focal lengths [px] that has the least cost with a distortion k1.
+        """Return the one of the focal lengths (n,) [px] that has the least cost with a distortion.
 
-        With `afresh` the camera of each photo is looked for anew for each focal length, not next to
-        the last one. Raises TermselError if with none of them all photos have a camera.
+        `k1` is the coefficient of the distortion. With `afresh` the camera of each photo is looked
+        for anew for each focal length, not next to the last one. Raises TermselError if with none
+        of them all photos have a camera.
         """
         costs = []
+        # Infinite where a photo has no camera of this focal length.
         for focal in focals:
             if afresh:
                 self.cameras = [None] * len(self.photos)
@@ -271,7 +273,11 @@ class _Flight:
         return np.asarray(minimum.x)
 
     def _model_of_photo(self, i: int, focal: float, k1: float) -> KnownFrame:
-        """Return the prepared model of the i-th photo with a fixed focal length and distortion."""
+        """Return the model of the i-th photo, prepared for its control, with a fixed interior.
+
+        `focal` is the focal length [px], and `k1` the radial distortion. The principal point is in
+        the middle of the image, within a prior of `REACH` half diagonals.
+        """
         photo = self.photos[i]
         size = photo.features.image_size
         assert size is not None

@@ -119,6 +119,7 @@ def annotation_of(given: str, swath: str = "") -> Annotation:
     TermselError
         If the file cannot be read, is no annotation of Sentinel-1, or lacks something.
     """
+    # A result contains the text of its annotation, so that it can be read without the product.
     if given.startswith("{"):
         try:
             return msgspec.json.decode(given, type=Annotation)
@@ -146,6 +147,7 @@ def annotation_file(path: Path, swath: str = "", polarisation: str = "") -> Path
         if not path.is_file() and archive_of(path) is None:
             raise TermselError(f"{path} is no file, and no product with annotations", hint=_HINT)
         return path
+    # Polarisations of a swath are recorded together, so that mostly any of them will do.
     fitting = choose_images(images, path, swath, polarisation)
     if len({_geometry_text(image.annotation) for image in fitting}) > 1:
         names = ", ".join(image.name for image in fitting)
@@ -228,6 +230,7 @@ def _annotation_from_xml(root: ElementTree.Element, name: str) -> Annotation:
     if not interval > 0 or min(lines, samples) < 1:
         raise TermselError("the interval of lines or the size of the image is not positive")
     times, states = _parse_orbit(root, start, lines * interval)
+    # "Ground Range" or "Slant Range"; only images in slant range are made of bursts.
     in_ground_range = "ground" in text_of(
         root, "generalAnnotation/productInformation/projection").lower()
     ground_ranges = _ground_ranges(root, start) if in_ground_range else ()
@@ -284,6 +287,7 @@ def _lattice_area(root: ElementTree.Element) -> tuple[tuple[float, ...], ...]:
         return ()
     ground = np.array([[number_of(point, name) for name in ("longitude", "latitude", "height")]
                        for point in points])
+    # No image is half as wide as the Earth: such longitudes jump from 180 to -180.
     if np.ptp(ground[:, 0]) > 180.0:
         ground[:, 0] %= 360.0
     return tuple(map(tuple, np.stack([ground.min(axis=0), ground.max(axis=0)]).tolist()))
@@ -305,6 +309,7 @@ def _parse_orbit(root: ElementTree.Element, start: float, duration: float,
     states = np.array([[number_of(vector, f"{part}/{axis}")
                         for part in ("position", "velocity") for axis in "xyz"]
                        for vector in vectors]).reshape(-1, 6)
+    # An annotation has state vectors of minutes, of which a spline needs some around the image.
     near = (times > -ORBIT_MARGIN) & (times < duration + ORBIT_MARGIN)
     times = times[near]
     states = states[near]

@@ -41,6 +41,7 @@ class NamedScanner(Method):
 
         Raises TermselError for a name that no sensor has, since the user meant to name one.
         """
+        # From what the user says to what the points have: the first reason is the one to tell.
         features = control.features
         named = sensor_of(control)
         if not named:
@@ -54,6 +55,7 @@ class NamedScanner(Method):
                     "without lines")
         if features.without_height() or features.crs in ("", "local"):
             return "it needs heights and a CRS"
+        # This raises the error for a name that no sensor has.
         _scanner_of_metadata(named)
         return None
 

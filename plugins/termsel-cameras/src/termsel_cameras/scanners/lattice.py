@@ -75,6 +75,7 @@ class SentinelLattice(Reader):
         if images:
             _log_polarisation(choose_images(images, path, swath, polarisation))
         annotation = annotation_of(str(annotation_path))
+        # Columns of the points carry the options of reading to the model of the radar.
         columns = {"bistatic": "true"} if self.options["bistatic"] else {}
         if self.options["burst"] is not None:
             columns["burst"] = str(self.options["burst"])
@@ -85,7 +86,10 @@ class SentinelLattice(Reader):
         return _lattice_points(annotation, image, ground, str(annotation_path), columns)
 
     def _points_of_tags(self, path: Path) -> FeatureSet:
-        """Return the GCPs in the tags of an image; raises TermselError if it has none."""
+        """Return the GCPs in the tags of an image as points, in longitude, latitude and height.
+
+        Raises TermselError if it has none.
+        """
         with open_raster(path) as raster:
             gcps = raster.gcps[0]
             size = raster.shape

@@ -184,7 +184,11 @@ class Photo(Physical):
                 focal[:, None])
 
     def rotation_of(self, x: dict[str, FloatArray]) -> FloatArray:
-        """Return the directions of lines, samples and the view, as rows of (p, 3, 3)."""
+        """Return the rotations from the ground to the axes of p cameras, (p, 3, 3).
+
+        Their rows are the directions of lines, samples and the view, in east, north and up. `x` has
+        the values (p,) of the terms turn, tilt-line and tilt-sample by name.
+        """
         sine = np.sin(TURN * x["turn"])
         cosine = np.cos(TURN * x["turn"])
         zeros = np.zeros_like(sine)
@@ -214,7 +218,10 @@ class Photo(Physical):
             return np.asarray(self.film(x, ground) + shift[:, None])
 
     def film(self, x: dict[str, FloatArray], ground: FloatArray) -> FloatArray:
-        """Return scaled positions on the film (p, n, 2), about where the middle is seen."""
+        """Return scaled positions on the film (p, n, 2), about where the middle is seen.
+
+        `x` has the values (p,) of terms by name; `ground` (n, 3) are scaled ground positions.
+        """
         raise NotImplementedError
 
 
@@ -309,7 +316,10 @@ class FrameCamera(Photo):
                 - middle[:, None])
 
     def sensor_figures(self, coefficients: FloatArray) -> tuple[SensorFigure, ...]:
-        """Return the figures of the camera: position, angles, focal length and principal point."""
+        """Return the figures of the camera: position, angles, focal length and principal point.
+
+        `coefficients` (k,) are the values of the terms. Each figure has its name and unit.
+        """
         scaling = require_scaling(self.scaling)
         x = dict(zip(self.terms, np.asarray(coefficients)[:, None], strict=True))
         offset = MIDDLE * np.array([x["middle-line"][0], x["middle-sample"][0]])
@@ -363,7 +373,10 @@ class FewOfPhoto(Method):
     camera: type[Photo] = FrameCamera
 
     def declines(self, control: FitData) -> str | None:
-        """Return why the features are not for a photo; None if they may be."""
+        """Return why a camera cannot be fitted to the control, as a clause; None if it can.
+
+        Reasons are lines, too few points, and heights that are missing or all on a plane.
+        """
         features = control.features
         if len(features.lines) or len(features.points) < MIN_PHOTO_POINTS:
             return (f"it is for {MIN_PHOTO_POINTS} to {MAX_PHOTO_POINTS} control points, without "

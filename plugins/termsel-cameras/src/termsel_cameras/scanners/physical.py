@@ -182,12 +182,12 @@ class Physical(SensorModel):
         return np.asarray((ahead - 2 * middle + behind) / (2 * BEND_STEP**2))
 
     def descend(self, features: FeatureSet, start: FloatArray) -> CameraSolution | None:
-        """Return the solution at the end of damped steps from a start (Levenberg 1944, Marquardt
-        1963).
+        """Return the solution of least cost that damped steps lead to from a start.
 
-        Steps are corrected to second order (Transtrum, Machta and Sethna 2011, Phys. Rev. E 83,
-        036701, section VIII). None if not all points are seen at the start, or on the way. The
-        solution has not converged if `MAX_STEPS` are not enough.
+        The steps are those of Levenberg (1944) and Marquardt (1963), corrected to second order
+        (Transtrum, Machta and Sethna 2011, Phys. Rev. E 83, 036701, section VIII). `start` (k,) are
+        values of the terms, and `features` are scaled. None if not all points are seen at the
+        start, or on the way. The solution has not converged if `MAX_STEPS` are not enough.
         """
         points = features.points
         prior = self.prior()
@@ -254,12 +254,13 @@ class RobustFit(Estimator):
 
     def fit(self, model: Any, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Fit a camera (see `Estimator.fit`) with all its terms to the points in use.
+        """Fit a camera with all its terms to the points in use (see `Estimator.fit`).
 
-        Errors of held-out points are those of the equations that are linear about the solution.
-        Terms under a prior count by what the points determine of them, so that `effective` is no
-        whole number. Raises Undetermined for lines, if from no start all points are seen, and if
-        the fit does not converge.
+        `used` (n,) marks the points in use; `terms` (k,) is not looked at. Errors of held-out
+        points are those of the equations that are linear about the solution. Terms under a prior
+        count by what the points determine of them, so that `effective` is no whole number. Raises
+        Undetermined for lines, if from no start all points are seen, and if the fit does not
+        converge.
         """
         ready = model.prepared(scaling, control.crs)
         used_features = control.take(used)
@@ -290,7 +291,10 @@ class RobustFit(Estimator):
                    stored_held_out=HeldOut.of(errors / weight * scaling.image_scale, used_features))
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
-        """Return the mean square errors at scaled ground positions (see `Estimator.spread`)."""
+        """Return the mean square errors of image positions at scaled ground positions (m, 3).
+
+        See `Estimator.spread`.
+        """
         model = fitted.model
         values = fitted.adjustment.coefficients
         assert isinstance(model, Physical)
@@ -305,7 +309,6 @@ class RobustFit(Estimator):
                                   + 1e-14 * np.eye(len(values)))
         factors = model.slopes(values, ground) @ root
         return Spread((factors**2).sum(axis=2), np.full(2, noise**2), factors)
-
 
     def noise(self, fitted: Fit) -> float:
         """Return the scaled standard deviation of a measurement, as the residuals show it.
@@ -349,10 +352,12 @@ class ShiftFit(RobustFit):
                    stored_held_out=HeldOut.of(errors, used_features))
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
-        """Return the mean square errors at scaled ground positions (see `Estimator.spread`).
+        """Return the mean square errors of image positions at scaled ground positions (m, 3).
 
-        If the points are the camera's lattice, they are those of the residuals alone.
+        If the points are the camera's lattice, they are those of the residuals alone. See
+        `Estimator.spread`.
         """
+        # Nothing was fitted to a lattice, so that no term has an error.
         if fitted.effective > 0.0:
             return super().spread(fitted, ground)
         shape = len(ground), 2

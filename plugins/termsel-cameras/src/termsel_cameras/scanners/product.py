@@ -63,6 +63,7 @@ def images_of(path: Path) -> tuple[Image, ...]:
     tuple of Image
         Empty if the path is no product of Sentinel-1, cannot be read, or is an annotation itself.
     """
+    # The kind of a file is shown by its first bytes rather than its name, which people change.
     try:
         if path.is_dir():
             return _images_in_order(_annotations_in_folder(path))
@@ -89,9 +90,10 @@ def is_image(path: Path, head: bytes) -> bool:
 
 def choose_images(images: tuple[Image, ...], path: Path, swath: str | None,
                   polarisation: str | None) -> tuple[Image, ...]:
-    """Return the images of a swath and a polarisation; "" or None stands for any.
+    """Return the images of a product that have a swath and a polarisation, whatever their case.
 
-    `path` is that of the product, for messages.
+    A swath or polarisation of "" or None stands for any. `path` is that of the product, for
+    messages.
 
     Raises
     ------
@@ -128,6 +130,7 @@ def content_of(path: Path) -> bytes:
     if archive is None:
         raise TermselError(f"{path} is no file", hint=HINT)
     member = path.relative_to(archive).as_posix()
+    # One byte more than is allowed shows that it is too large, before memory is full.
     try:
         with zipfile.ZipFile(archive) as packed, packed.open(member) as file:
             data = file.read(LARGEST + 1)

@@ -233,6 +233,7 @@ def _line_time_origin(annotation: Annotation, burst: int) -> tuple[float, float]
     none of an image that has several.
     """
     bursts = annotation.bursts
+    # The lines of an image without bursts follow one another in time from the first to the last.
     if not bursts:
         if burst:
             raise TermselError(f"{annotation.source}: the image has no bursts",
@@ -273,6 +274,7 @@ def zero_doppler(annotation: Annotation, targets: FloatArray,
     first = annotation.times[0]
     last = annotation.times[-1]
     time = np.full(len(targets), annotation.size[0] * annotation.line_interval / 2.0)
+    # The search begins at the middle of the image, and stays where the orbit is known.
     with np.errstate(all="ignore"):
         for _ in range(NEWTON_STEPS):
             sight = targets - orbit(time)

@@ -113,6 +113,7 @@ def sensor_named(name: str) -> Sensor:
         return UNKNOWN
     if name.lower() in SENSORS:
         return SENSORS[name.lower()]
+    # Only the suffix tells a file from a name, so that a misspelt name is not taken for a file.
     path = Path(name)
     if path.suffix != ".json":
         raise TermselError(f"there is no sensor {name!r}",

@@ -52,7 +52,8 @@ class TrackedScanner(Physical):
         super().__init__(**options)
         metadata = self.options["metadata"]
         self._metadata = metadata_of(metadata) if metadata else None
-        if self._metadata is not None:  # a result must be readable without the file
+        # A result must be readable without the file, so that its options have what the file says.
+        if self._metadata is not None:
             self.options["metadata"] = self._metadata.text()
 
     @property
@@ -93,7 +94,8 @@ class TrackedScanner(Physical):
         rate = [RATE_SIGMA * x[f"{name}-rate"] for name in ("yaw", "pitch", "roll")]
         samples = np.array(metadata.detectors)
         looks = np.tan(metadata.looks)
-        order = np.argsort(looks[:, 1])  # as np.interp needs them
+        # np.interp needs ascending look angles, which detectors may have from right to left.
+        order = np.argsort(looks[:, 1])
         across = looks[order, 1]
         ahead = looks[order, 0]
         samples = samples[order]
@@ -146,10 +148,12 @@ class TrackedScanner(Physical):
 def _interpolate_state(metadata: Metadata, time: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the satellite's positions (..., 3) [m] and axes (..., 3, 3) at times (...) [s].
 
-    The axes are the columns: to starboard, ahead and up. All are Earth-fixed.
+    The axes are the columns of the matrices: to starboard, ahead and up. All are Earth-fixed.
     """
-    from scipy.interpolate import CubicHermiteSpline  # which other models need not import
+    # Other models need not wait for this import.
+    from scipy.interpolate import CubicHermiteSpline
 
+    # Positions and velocities of the state vectors determine a cubic between each two.
     orbit = CubicHermiteSpline(metadata.times, metadata.positions, metadata.velocities)
     station = orbit(time)
     motion = orbit(time, 1)
@@ -160,9 +164,9 @@ def _interpolate_state(metadata: Metadata, time: FloatArray) -> tuple[FloatArray
 
 
 def _turn_into_camera(vectors: FloatArray, angles: list[FloatArray]) -> FloatArray:
-    """Return vectors (..., 3) of orbital axes in the axes of the camera.
+    """Return vectors (..., 3), given in the orbital axes, in the axes of the camera.
 
-    `angles` are yaw, pitch and roll [rad].
+    `angles` are yaw, pitch and roll, (...) each [rad].
     """
     yaw, pitch, roll = angles
     x, y, z = np.moveaxis(vectors, -1, 0)

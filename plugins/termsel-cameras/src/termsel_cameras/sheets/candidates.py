@@ -89,6 +89,7 @@ def projections_of_file(path: Path | str) -> list[Projection]:
         is no CRS.
     """
     projections = []
+    # A line without a CRS is blank or a comment.
     for number, line in enumerate(read_text(Path(path)).splitlines(), 1):
         crs, _, name = line.partition("#")
         if not crs.strip():

@@ -126,6 +126,7 @@ def choose_by_points(sheets: Sequence[FeatureSet], candidates: Sequence[Projecti
     shown = [[_shown_in(sheet, candidate.crs) for candidate in candidates]
              for sheet in used_sheets]
     counts = [len(sheet.points) for sheet in used_sheets]
+    # rmse = exp(sum(n_i log(rmse_i)) / sum(n_i)): a sheet of large errors does not decide alone.
     log_rmses = np.log([[one.rmse for one in of_sheet] for of_sheet in shown])
     rmses = np.exp(np.average(log_rmses, axis=0, weights=counts))
     evidences = np.sum([_evidences(*of_sheet) for of_sheet in zip(used_sheets, shown, strict=True)],

@@ -43,6 +43,7 @@ def meridian_of(text: str) -> float:
         degrees = float(name)
     except ValueError:
         degrees = float("nan")
+    # NaN is in no range, so that it gets the same error.
     if not -180.0 <= degrees <= 180.0:
         near = get_close_matches(name, MERIDIANS, n=1, cutoff=0.6)
         guess = f"Did you mean {near[0]}? " if near else ""

@@ -218,6 +218,7 @@ def paper_of(sheets: Sequence[Sheet]) -> Paper:
                            hint="Measure more points on some sheets, or leave series out.")
     noise, freedom = usual_noise(sheets)
     values, variances = _values_and_variances(sheets, noise, freedom)
+    # Turns are counted from that of the first sheet, to which it is added again.
     first_turn = sheets[0].values[TURN]
     expected = np.array([_expected_value(*column) for column in zip(
         values.T, variances.T, USUAL_SPREADS, strict=True)])
@@ -349,10 +350,18 @@ def _log_priors(usual_spread: float) -> FloatArray:
 
 def _by_spread(values: FloatArray, variances: FloatArray,
                usual_spread: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the log of likelihood times prior of each spread that is tried, and the mean there.
+    """Return how probable each spread of a number among sheets is, and its mean with that spread.
 
-    Last the variance of that mean.
+    `values` and `variances` (s,) are those of the sheets; the spreads are `SPREADS_TRIED` (k,).
+
+    Returns
+    -------
+    log_joint : ndarray, shape (k,)
+        Logarithm of likelihood times prior of each spread, but for a constant.
+    means, mean_variances : ndarray, shape (k,)
+        The mean over the sheets with that spread, and its variance.
     """
+    # A sheet differs from the mean by its own error and by the spread: their variances add up.
     totals = variances + SPREADS_TRIED[:, None] ** 2
     weights = 1.0 / totals
     sums = weights.sum(axis=1)

@@ -70,11 +70,13 @@ class SheetOptions:
                 and values.get("projection") != AUTO):
             raise TermselError("candidates and century are for a projection that is chosen",
                                hint="Add --set projection=auto, or --crs auto.")
+        # Without a projection of the map the model is fitted in the coordinates of the points.
         if "projection" not in values:
             return features
         if values["projection"] != AUTO:
             return replace(features, fit_crs=normalise(values["projection"]))
-        from termsel_cameras.sheets.choosing import choose_by_points  # it fits models
+        # Only a choice fits models, whose modules take long to import.
+        from termsel_cameras.sheets.choosing import choose_by_points
 
         candidates = candidates_of([features], values.get("projection_candidates"),
                                    values.get("map_century"))
@@ -111,11 +113,9 @@ def _sheet_of_series(features: FeatureSet, values: Mapping[str, Any]) -> Feature
     the sheet is returned as it is. Raises TermselError if options state or
     choose a projection, too, if the file is none, or if no other sheet shows its paper.
     """
+    # These modules fit models, and so take long to import.
     from termsel_cameras.sheets.paper import reason_against
-    from termsel_cameras.sheets.series_file import (  # it fits models
-        read_series,
-        with_series_columns,
-    )
+    from termsel_cameras.sheets.series_file import read_series, with_series_columns
 
     if idle_options := values.keys() & {"projection", "projection_candidates", "map_century"}:
         raise TermselError("the file of a series has its projection, so "

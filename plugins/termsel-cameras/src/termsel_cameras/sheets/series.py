@@ -123,11 +123,12 @@ class BySeries(Estimator):
 
     def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Fit a sheet (see `Estimator.fit`) with all its terms to the points in use.
+        """Fit a sheet with all its terms to the points in use (see `Estimator.fit`).
 
-        What the series shows of the paper is the prior of scale, turn, stretch and shear, so that
-        one point is enough. Held-out errors are those of each point by the posterior of the others,
-        with the noise of all.
+        `used` (n,) marks the points in use; `terms` (k,) is not looked at. What the series shows of
+        the paper is the prior of scale, turn, stretch and shear, so that one point is enough.
+        Held-out errors are those of each point by the posterior of the others, with the noise of
+        all.
         """
         assert isinstance(model, SeriesSheet)
         in_use = control.take(used)
@@ -160,7 +161,10 @@ class BySeries(Estimator):
         return posterior_of(model.paper, plan - middle, to_upright(in_use.points.image)), middle
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
-        """Return the mean square errors at scaled ground positions (see `Estimator.spread`)."""
+        """Return the mean square errors of image positions at scaled ground positions (m, 3).
+
+        See `Estimator.spread`.
+        """
         assert isinstance(fitted.model, SeriesSheet)
         scaling = fitted.scaling
         posterior, middle = self._sheet_posterior(
@@ -204,10 +208,11 @@ def posterior_of(paper: Paper, plan: FloatArray, measured: FloatArray,
 
 
 def _start(paper: Paper, plan: FloatArray, measured: FloatArray) -> FloatArray:
-    """Return six values from which the fit begins (see `_Posterior`).
+    """Return the six values (see `_Posterior`) from which the fit of a sheet begins, (6,).
 
     Scale and turn are those of a similarity by the points, or the means of the paper if there is
-    one point alone; stretch and shear are the means.
+    one point alone; stretch and shear are the means. `plan` and `measured` are as for
+    `posterior_of`.
     """
     mean_image = measured.mean(axis=0)
     image = measured - mean_image
@@ -255,7 +260,11 @@ def _image_positions(values: FloatArray, plan: FloatArray) -> FloatArray:
 
 
 def _image_derivatives(values: FloatArray, plan: FloatArray) -> FloatArray:
-    """Return the derivatives of samples and minus lines by the six values, (n, 2, 6)."""
+    """Return the derivatives of samples and minus lines by the six values of a sheet, (n, 2, 6).
+
+    `plan` (n, 2) are x and y from the middle of the points.
+    """
+    # image = e^scale S(stretch, shear) R(turn) plan + place of the middle, see `matrix_of`.
     scale, turn, stretch, shear = values[:4]
     rotated = np.exp(scale) * plan @ rotation_by(turn).T
     h = np.hypot(1.0, shear)
