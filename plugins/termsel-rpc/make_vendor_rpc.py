@@ -12,11 +12,15 @@ from termsel.toolkit import make_scaling
 from termsel.toolkit.files import rpb_text
 from termsel_rpc.simulated import RPC_FILE, nominal_sensor
 
+# Heights above the ellipsoid between which the RPC is fitted [m].
 LOWEST, HIGHEST = 1650.0, 2050.0
 
 
 def main() -> None:
-    """Fit all 78 terms to a grid of the image at seven heights, and write RPC_FILE."""
+    """Fit an RPC to a grid of image positions at seven heights, and write it to `RPC_FILE`.
+
+    All 78 terms are fitted, and the largest distance from the sensor is printed.
+    """
     sensor = nominal_sensor()
     grid = np.stack(np.meshgrid(np.linspace(0, sensor.n_lines - 1, 21),
                                 np.linspace(0, sensor.n_samples - 1, 21),

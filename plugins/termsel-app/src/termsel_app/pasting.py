@@ -27,8 +27,8 @@ from termsel.toolkit.files import (
 )
 from termsel_app.control import Record, checked_record
 
-_GROUND = ("x", "y", "z")
-_IMAGE = ("line", "sample")
+_GROUND_COLUMNS = ("x", "y", "z")
+_IMAGE_COLUMNS = ("line", "sample")
 _WITHOUT_HEADER = {3: ("id", "x", "y"), 4: ("id", "x", "y", "z"),
                    5: ("id", "line", "sample", "x", "y"),
                    6: ("id", "line", "sample", "x", "y", "z")}
@@ -87,7 +87,7 @@ def _records_of_table(path: Path, crs: str, size: tuple[int, int] | None) -> lis
         is_unknown = error.code == "format-unknown"
         if error.code == "ground-alone" or (is_unknown and {"x", "y"} <= set(names)):
             return _ground_records(path, columns, names, crs)
-        if error.code == "image-alone" or (is_unknown and set(_IMAGE) <= set(names)):
+        if error.code == "image-alone" or (is_unknown and set(_IMAGE_COLUMNS) <= set(names)):
             return _image_records(path, names, size)
         raise
     if not len(features.points):
@@ -131,7 +131,7 @@ def _ground_records(path: Path, columns: Mapping[str, str], names: Sequence[str]
     Raises TermselError if the table states another CRS or unit than that of the session, or has
     coordinates that are none of the CRS.
     """
-    coordinates = [name for name in _GROUND if name in names]
+    coordinates = [name for name in _GROUND_COLUMNS if name in names]
     table = read_table(path, _aliases(coordinates), columns=_columns_option(columns))
     if table.crs not in ("", crs):
         raise TermselError(f"the table is in {table.crs}, and this session in {crs}",
@@ -149,8 +149,8 @@ def _image_records(path: Path, names: Sequence[str], size: tuple[int, int] | Non
 
     Raises TermselError for points outside an image of this size.
     """
-    table = read_table(path, _aliases(_IMAGE))
-    image = table.stack(*_IMAGE)
+    table = read_table(path, _aliases(_IMAGE_COLUMNS))
+    image = table.stack(*_IMAGE_COLUMNS)
     # `Points` refuses equal ground coordinates, so they get different ones, which are dropped.
     ground = np.zeros((len(image), 3))
     ground[:, 0] = np.arange(len(image))

@@ -21,7 +21,7 @@ from termsel.toolkit import charts, coordinates, count_in_words
 if TYPE_CHECKING:
     from termsel import FeatureSet, Memory, Result
 
-MIN_POINTS = 3
+MIN_POINTS_OF_MODEL = 3
 """Points from which on there is a model without an RPC."""
 N_NEXT = 3
 """Positions that are proposed for the next measurements."""
@@ -73,7 +73,7 @@ def judge_control(question: Question, memory: Memory | None = None) -> Iterator[
     base = {"serial": question.serial}
     # An RPC is a model already: one point corrects it.
     n_in_use = [role != "off" for role in features.points.roles].count(True)
-    n_needed = 1 if question.rpc is not None else MIN_POINTS
+    n_needed = 1 if question.rpc is not None else MIN_POINTS_OF_MODEL
     if n_in_use < n_needed and not len(features.lines):
         yield {**base, "stage": "waiting",
                "text": f"{n_needed - n_in_use} more "

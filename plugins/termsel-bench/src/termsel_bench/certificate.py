@@ -51,12 +51,12 @@ _CLOSING_DECADES = 20.0
 
 def certificate_maker(problem: Problem, rooms: Sequence[int],
                       ) -> Callable[[NDArray[np.bool_]], dict[str, Any] | None]:
-    """Return a function that makes the certificate of a selection from its genes.
+    """Return a function that makes the certificate of a selection from its genes (g,).
 
-    `rooms` are the most terms of each part of the problem. Raises TermselError for a problem that
-    has no certificate, or whose numbers a certificate cannot state. The function returns content
-    that the checker has verified; if the checker refuses it, a warning is logged, and it returns
-    None.
+    `rooms` are the most terms that a selection may have of each part of the problem. The function
+    returns the content of a certificate that the checker has verified; if the checker refuses it, a
+    warning is logged, and the function returns None. Raises TermselError for a problem that has no
+    certificate, or whose numbers a certificate cannot state.
     """
     axis_parts = problem.parts()
     if not axis_parts or any(
@@ -89,9 +89,10 @@ def certificate_maker(problem: Problem, rooms: Sequence[int],
                  "search without the option certificate.") from error
 
     def certificate_of(genes: NDArray[np.bool_]) -> dict[str, Any] | None:
-        """Return the certificate of a selection; None, with a warning, if the checker refuses it.
+        """Return the certificate of the selection with genes (g,), as JSON takes it.
 
-        A certificate that leaves selections open is returned, with a warning.
+        None, with a warning, if the checker refuses it. A certificate that leaves selections open
+        is returned, with a warning.
         """
         # The search has ended by now: no error may lose its result.
         try:

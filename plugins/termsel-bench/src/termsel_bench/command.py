@@ -264,6 +264,7 @@ def _write_measured(folder: Path, names: Sequence[str], *, overwrite: bool) -> N
     from termsel_bench.scenes.measured import build_published_files
 
     files = build_published_files(names)
+    # All files are checked before the first is written.
     require_replaceable([folder / METADATA, *(folder / name for name in files)], reads=[],
                         overwrite=overwrite, makes_folder=True)
     make_folder(folder)

@@ -88,9 +88,9 @@ class Bound:
         return self.minimum > (1.0 + _FACT_WEIGHT) * (1.0 + SLACK)
 
     def largest(self, columns: Columns) -> FloatArray:
-        """Return the largest values of the denominators, and of t last, (c + 1,).
+        """Return limits of the c denominators, and of t last, that no selection exceeds, (c + 1,).
 
-        They are those over all selections below the limit, as far as the bound shows.
+        They hold for all selections whose error is below the limit, as far as this bound shows.
         """
         forms = np.vstack([columns.denominators.T, np.append(np.zeros(len(columns.names)), -1.0)])
         rows = forms @ self.inverse.T
@@ -115,7 +115,11 @@ class _Form:
     s: FloatArray
 
     def bound(self, alphas: FloatArray) -> Bound | None:
-        """Return what multipliers (n,) prove; None if Q is not positive definite, or hardly so."""
+        """Return the bound that multipliers (n,) prove.
+
+        None if the form Q with these multipliers is not positive definite, or hardly so.
+        """
+        # Q_ij = base_ij + (alpha_i + alpha_j) / 2 gram_ij, where t has the multiplier 0.
         pairs = np.append(alphas, 0.0)
         form = self.base + (pairs[:, None] + pairs) / 2 * self.gram
         diagonal = np.diag(form)
@@ -136,7 +140,10 @@ class _Form:
 
 
 def _form_of(columns: Columns) -> _Form:
-    """Return the quadratic form whose matrix the multipliers have to keep positive."""
+    """Return the quadratic form of columns, which multipliers have to keep positive definite.
+
+    It is the sum of the squared errors of check points, each over the limit of its denominator.
+    """
     c = columns.errors.shape[1]
     n = len(columns.names)
     # Errors of each check point over the limit of its denominator.
@@ -212,9 +219,10 @@ def _tune_bound(form: _Form, at: Bound) -> Bound:
 
 
 def _higher_bound(form: _Form, at: Bound, step: FloatArray, weight: float) -> Bound | None:
-    """Return the bound after a step of the multipliers, halved until its objective is higher.
+    """Return the bound after a step (n,) of the multipliers, halved until its objective is higher.
 
-    None if that of no step down to a hundredth is.
+    `weight` is that of the barrier in the objective. None if no step down to a hundredth of the
+    whole makes it higher.
     """
     height = _barrier_objective(at, weight)
     size = 1.0

@@ -106,6 +106,7 @@ def score_work(work: Work) -> Score:
         return Score(*common, seconds=time.process_time() - start, why=str(error).split("\n")[0])
     seconds = time.process_time() - start
     squares = ((positions - bench_set.independent.image) ** 2).sum(axis=1)
+    # The interval of the mean square is that of the RMSE, squared.
     low, high = np.sqrt(_bootstrap_interval(squares, np.mean))
     return Score(*common, float(np.sqrt(squares.mean())), low, high, seconds)
 
@@ -121,6 +122,7 @@ def _score_of_measured(method: Method, measured_set: MeasuredSet) -> Score:
     common = (method, measured_set.name, measured_set.kind, control, n)
     start = time.process_time()
     distances: list[float] = []
+    # A point is hidden in one fold or, in sets of which a trial sees one fold, in all but one.
     try:
         with quiet_logger("termsel", logging.CRITICAL):
             for seen, hidden in trials:

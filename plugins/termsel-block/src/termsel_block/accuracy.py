@@ -171,6 +171,7 @@ def errors_in_space(result: BlockResult) -> InSpace | None:
     The points are those that two images or more see; None if there are none.
     """
     truth_of: dict[str, FloatArray] = {}
+    # Pairs of the number of an image and the position in it, by the point's name.
     rays_of: dict[str, list[tuple[int, FloatArray]]] = {}
     for i in range(len(result.block.images)):
         points = independent_points(result, i)

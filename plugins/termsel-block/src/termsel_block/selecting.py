@@ -133,7 +133,10 @@ class OwdisBlock(Problem):
         self._prior = design.T @ design, design.T @ target
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
-        """Return the RMSE of the check points [px] by each selection, genes (n, candidates)."""
+        """Return the RMSE of the check points [px] after adjustments with some candidates.
+
+        `genes` (n, candidates) say which candidates each of n adjustments has.
+        """
         genes = np.asarray(genes, bool)
         k = len(self._prior[1])
         rmse_of_batches = []
@@ -398,7 +401,8 @@ def _spread_ties(result: BlockResult, count: int) -> IntArray:
     if len(usable) <= count:
         return usable
     ground = state.ties[usable, :2]
-    # The first is the one nearest to the middle among those in most images.
+    # Farthest-point sampling, weighted by the number of images. The first is the one nearest to the
+    # middle among those in most images.
     from_middle = np.hypot(*(ground - ground.mean(axis=0)).T)
     picked = [int(np.lexsort((from_middle, -n_images[usable]))[0])]
     distances = np.hypot(*(ground - ground[picked[0]]).T)

@@ -25,7 +25,7 @@ IntArray = NDArray[np.intp]
 RADIAL_POWERS = (2, 4, 6)
 """Of the distance from the centre of distortion."""
 
-_MAX_STEPS, _CONVERGED = 30, 1e-12
+_MAX_NEWTON_STEPS, _CONVERGED = 30, 1e-12
 _TESTED_SHARES = (0.25, 0.5, 0.75, 0.9, 1.0)
 
 _CENTRE = ("Centre of distortion, {} coordinate: in half extents of the control in the image from "
@@ -103,7 +103,7 @@ class Radial(SensorModel):
         # Far from the control the powers may overflow, or the equation may have no solution.
         with np.errstate(all="ignore"):
             pairs = tuple(zip(k, RADIAL_POWERS, strict=True))
-            for _ in range(_MAX_STEPS):
+            for _ in range(_MAX_NEWTON_STEPS):
                 value = s - 1.0 + sum(kp * s ** (p + 1) for kp, p in pairs)
                 slope = 1.0 + sum((p + 1) * kp * s**p for kp, p in pairs)
                 step = value / slope

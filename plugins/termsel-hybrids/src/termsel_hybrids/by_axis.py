@@ -23,7 +23,11 @@ class PolynomialByAxis(RationalModel):
 
     @cached_property
     def exponents(self) -> tuple[Exponents, Exponents]:
-        """Exponents of X, Y and Z of each column: those of line, and those of sample."""
+        """Exponents (i, j, k) of the monomials X^i Y^j Z^k, for line and for sample.
+
+        They are those up to the total degree whose powers are within the options of the axis.
+        """
+        # A model of the plane has two coordinates; the exponent of Z is then 0.
         n = len(self.coordinates)
         exponents_within_degree = graded_exponents(int(self.options["degree"]), n)
         exponents_of = {}

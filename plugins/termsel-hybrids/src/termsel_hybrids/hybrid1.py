@@ -67,10 +67,11 @@ class Hybrid1(Polynomial2D):
 
 
 def _fit_second_step(computed: FloatArray, control: FeatureSet) -> FloatArray:
-    """Return the coefficients of the second step, shape (..., 11).
+    """Return the coefficients of the second step, shape (..., 11), by least squares.
 
-    Every row states that a vertex lies on an image line n x' = rho; a measured point is two
-    such lines, one along each axis.
+    It maps the image positions of the polynomial to the measured ones by a quotient of bilinear
+    functions. Every row states that a vertex lies on an image line n x' = rho; a measured point is
+    two such lines, one along each axis.
 
     Parameters
     ----------
@@ -99,10 +100,12 @@ def _fit_second_step(computed: FloatArray, control: FeatureSet) -> FloatArray:
 
 
 def _map_by_second_step(second: FloatArray, image: FloatArray) -> FloatArray:
-    """Return image positions (..., n, 2) mapped by the second step.
+    """Return image positions (..., n, 2) of the polynomial, `image`, mapped by the second step.
 
-    They are infinite where the denominator is `_MIN_DENOMINATOR` or less.
+    `second` (..., 11) are its coefficients. Positions are infinite where the denominator is
+    `_MIN_DENOMINATOR` or less.
     """
+    # Coefficients 0 to 3 are the numerator of the line, 4 to 7 that of the sample.
     columns = _bilinear_columns(image)
     above = np.stack([np.einsum("...nk,...k->...n", columns, second[..., columns_of])
                       for columns_of in (slice(0, 4), slice(4, 8))], axis=-1)
@@ -114,7 +117,7 @@ def _map_by_second_step(second: FloatArray, image: FloatArray) -> FloatArray:
 def _has_pole(second: FloatArray, control: FeatureSet) -> BoolArray:
     """Return whether the second step has a pole in the box around the control, shape (...).
 
-    The box is that of the measured image positions.
+    `second` (..., 11) are its coefficients; the box is that of the measured image positions.
     """
     image = control.image_vertices()
     (first_line, first_sample) = image.min(axis=0)

@@ -40,7 +40,7 @@ class LineDirections(SensorModel):
         """
 
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations:
-        """Return the equations about a solution (see `SensorModel.linearised`).
+        """Return the equations about a solution `coefficients` (k,) (see `SensorModel.linearised`).
 
         Rows are in image units: that of a line is divided by the deviation of a direction that two
         measured ends determine, for a model that maps the ground at about the size of the image.
@@ -48,6 +48,7 @@ class LineDirections(SensorModel):
         points = features.points
         lines = features.lines
         rows = self._columns(coefficients, points.ground)
+        # b = measured - predicted + J x0, so that the unknown of the equations is x itself.
         b = points.image - self.project(coefficients, points.ground) + rows @ coefficients
         weights_of_points, weights_of_lines = _row_weights(features)
         vertices = lines.ground.reshape(-1, 3)
@@ -169,6 +170,7 @@ class LineConformal(LineDirections):
             equations = LineAffine().prepared(self.scaling, self.crs).equations(features)
         else:
             equations = LineAffine().equations(features)
+        # Terms of an affine model: a constant and the factors of X, Y and Z, for line and sample.
         affine = np.linalg.lstsq(equations.A, equations.b, rcond=1e-9)[0].reshape(2, 4)
         line, sample = affine[:, 1:] / self._units
         left_vectors, sizes, right_vectors = np.linalg.svd(

@@ -245,7 +245,10 @@ def selector_of_other_size(map_: Map) -> tuple[int, int] | None:
 
 
 def polygon_corners(points: str) -> list[tuple[float, float]]:
-    """Return the corners (x, y) of the attribute `points` of a polygon; [] if it is not one."""
+    """Return the corners (x, y) of an SVG polygon [px], by the text of its attribute `points`.
+
+    [] if the text is no list of pairs of numbers.
+    """
     pairs = []
     start = 0
     # SVG separates numbers by commas or blanks, so the pairs are read one after the other.

@@ -111,9 +111,10 @@ class AnnotationReader(Reader):
                                hint="Correct it, or export it again.") from error
 
     def _choose_map(self, maps: list[Map], path: Path) -> Map:
-        """Return the map that the option names, or the only one.
+        """Return the map that the option `map` names, by its number from 1 or its id.
 
-        Raises TermselError if there are several, none, or no such one.
+        Without the option it is the only one. Raises TermselError if there are several then, if
+        there are none, or none of that name.
         """
         wanted_map = str(self.options["map"])
         listed = ", ".join(f"{i} ({map_.id})" if map_.id else str(i)
@@ -125,6 +126,7 @@ class AnnotationReader(Reader):
                 raise TermselError(f"this page has {len(maps)} maps", file=path,
                                    hint=f"Choose one with --set map=N: {listed}.")
             return maps[0]
+        # A number counts the maps of the page; ids are mostly addresses.
         if wanted_map.isdigit() and 1 <= int(wanted_map) <= len(maps):
             return maps[int(wanted_map) - 1]
         for map_ in maps:

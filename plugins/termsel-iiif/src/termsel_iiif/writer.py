@@ -27,8 +27,9 @@ from termsel_iiif.viewer import (
 # Kinds of transformation whose largest differences from the model [px] are within this are alike.
 _ALIKE_PX = 0.01
 
-_IMAGE = Option("image_id", "", "Address of the IIIF image, such as https://example.org/iiif/map1; "
-                                "by default that of the annotation that was read.")
+_IMAGE_ID = Option("image_id", "", "Address of the IIIF image, such as "
+                                   "https://example.org/iiif/map1; by default that of the "
+                                   "annotation that was read.")
 _SERVICE = Option("service", "ImageService2", "Type of that address.", choices=(
     "ImageService1", "ImageService2", "ImageService3", "Canvas"))
 
@@ -47,7 +48,7 @@ class AnnotationWriter(Writer):
     summary = "control points as a IIIF georeference annotation, for Allmaps and other viewers"
     needs = "points with a CRS; --set image_id=URL unless an annotation was read"
     suffix = "_annotation.json"
-    declared_options: ClassVar[tuple[Option, ...]] = (_IMAGE, _SERVICE)
+    declared_options: ClassVar[tuple[Option, ...]] = (_IMAGE_ID, _SERVICE)
 
     def accepts(self, result: Result) -> bool:
         """Return True if there are points in a CRS of the Earth, and the image has an address."""
@@ -118,21 +119,22 @@ class AnnotationWriter(Writer):
 
     @staticmethod
     def _choose_mask(result: Result) -> str:
-        """Return the selector, an SVG: that which was read, or a rectangle.
+        """Return the part of the image that the map shows, as an SVG: the selector.
 
-        The rectangle is the image, or, if its size is not known, goes around the points.
+        It is the one that was read with the points, or else a rectangle: the whole image or, if its
+        size is not known, the box around the points.
         """
         text = _attribute(result, MASK)
         if text:
             return text
         if result.features.image_size is None:
             low = result.features.points.image.min(axis=0)
-            high = result.features.points.image.max(
-                axis=0)
+            high = result.features.points.image.max(axis=0)
         else:
             low = np.zeros(2)
             high = np.array(result.features.image_size, dtype=float)
         first_line, first_sample, last_line, last_sample = (round(value) for value in (*low, *high))
+        # SVG has x before y, and so the sample before the line.
         size = f' width="{last_sample}" height="{last_line}"' if result.features.image_size else ""
         return (f'<svg{size}><polygon points="{first_sample},{first_line} '
                 f'{first_sample},{last_line} {last_sample},{last_line} '
@@ -141,12 +143,14 @@ class AnnotationWriter(Writer):
 
 def _choose_transformation(fitted: Fit, image: FloatArray, lonlat: FloatArray,
                            stated_before: Any) -> dict[str, Any] | None:
-    """Return the transformation to state, and log what a viewer makes of it.
+    """Return the transformation that an annotation states, and log how far a viewer will be off.
 
     It is the kind that the model is of, or else the simplest of those that come nearest to it.
-    `stated_before` is what an annotation that was read stated: it is returned unchanged if it is of
-    the same kind, or if the points determine none. None if there is neither.
+    `image` (n, 2) are lines and samples of the points, and `lonlat` (n, 2) their longitudes and
+    latitudes [deg]. `stated_before` is what an annotation that was read stated: it is returned
+    unchanged if it is of the same kind, or if the points determine none. None if there is neither.
     """
+    # Viewers fit transformations themselves, in the plane of web maps.
     plane = to_mercator(lonlat)
     by_kind = {}
     for key in TRANSFORMATIONS:
@@ -158,6 +162,8 @@ def _choose_transformation(fitted: Fit, image: FloatArray, lonlat: FloatArray,
               if kind_of_model in (None, key)}
     if not viewed:
         return stated_before if isinstance(stated_before, dict) else None
+    # The largest distance in the image [px]; a position that the model cannot project is infinitely
+    # far.
     worst = {key: float(np.nan_to_num(np.hypot(*(fitted.project(ground) - at).T), nan=np.inf
                                       ).max(initial=0.0)) for key, (ground, at) in viewed.items()}
     # The simplest kind that is nearly as near as the nearest.

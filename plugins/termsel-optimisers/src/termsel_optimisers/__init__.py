@@ -50,7 +50,11 @@ __all__ = ["AntColony", "FigureCondition", "Lasso", "NestedRegression", "Ransac"
 
 @hookimpl
 def termsel_solvers() -> Iterable[type[Solver]]:
-    """Return the solvers of DEAP, of pymoo, of papers and of the literature."""
+    """Return the solvers of this package.
+
+    They are the algorithms of DEAP and pymoo, those of papers, and rivals of the literature on the
+    selection of terms.
+    """
     from termsel_optimisers.deap_algorithms import Deap
     from termsel_optimisers.papers.correlation import CorrelationSeededGA
     from termsel_optimisers.pymoo_algorithms import Pymoo

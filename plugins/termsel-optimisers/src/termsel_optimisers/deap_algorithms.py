@@ -61,7 +61,10 @@ class Deap(Solver):
     )
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
-        """Yield generations without end (see `Solver.generations`)."""
+        """Yield the generations of DEAP's algorithm without end (see `Solver.generations`).
+
+        Raises TermselError for chances, or a number of children, that the algorithm cannot have.
+        """
         o = self.options
         box = to_deap(problem)
         for role in ("select", "mate", "mutate"):
@@ -100,6 +103,7 @@ def _algorithm_of_name(loop_name: str) -> Callable[..., Any]:
         raise TermselError(f"there is no algorithm {loop_name!r}",
                            hint=f"Known are {', '.join(DEAP_ALGORITHMS)}; a loop of yours is "
                                 "module:function.")
+    # Only what can be called has a signature.
     try:
         with modules_here():
             loop = getattr(import_module(module), name)

@@ -51,7 +51,10 @@ class EvaluatedValues(tuple[float, ...]):
 
     def __new__(cls, genes: list[Any], objectives: NDArray[np.float64],
                 violation: float) -> EvaluatedValues:
-        """Return values, penalised as by `deap.tools.DeltaPenalty` if there is a violation."""
+        """Return the values of an individual, by its objectives (m,) and its violation.
+
+        With a violation they are penalised, as by `deap.tools.DeltaPenalty`.
+        """
         # WORST is above every objective, so that feasible individuals are better than all others.
         values = super().__new__(cls, [WORST + violation] * len(objectives) if violation
                                  else objectives.tolist())
@@ -104,7 +107,10 @@ class _ProblemTools:
         return self.evaluated([individual])[0]
 
     def evaluated(self, individuals: list[Individual]) -> list[EvaluatedValues]:
-        """Return the values of individuals, each repaired to what the genome allows; [] of []."""
+        """Return the values of individuals, whose genes are first repaired as the genome demands.
+
+        They are in the order of `individuals`; [] if there are none.
+        """
         if not individuals:
             return []
         genome = self.problem.genome

@@ -96,7 +96,10 @@ class Pymoo(Solver):
             setattr(self, attribute, 1 if single else several)
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
-        """Yield generations without end (see `Solver.generations`)."""
+        """Yield the generations of pymoo's algorithm without end (see `Solver.generations`).
+
+        Raises TermselError if the population is smaller than the number of directions.
+        """
         name = self.options["algorithm"]
         population = population_size(self.options["population"], problem)
         module, _, class_name = PYMOO_ALGORITHMS[name].partition(":")

@@ -96,7 +96,7 @@ def correction_grid(kinds: Iterable[int], usual: float = USUAL_PX) -> Grid:
     return Grid(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
-class _Posterior(NamedTuple):
+class _ProbableSolutions(NamedTuple):
     """Solutions that are not negligible next to the likeliest, given the measurements.
 
     `covariances` (c, 6, 6) are those of the coefficients divided by the variance of the noise;
@@ -129,8 +129,9 @@ class Belief:
     grid: Grid
 
     @cached_property
-    def _posterior(self) -> _Posterior:
-        """The solutions that matter, given the measurements."""
+    def _posterior(self) -> _ProbableSolutions:
+        """The solutions that are not negligible, with their probabilities after the measurements.
+        """
         # With x = S u and u ~ N(0, I): the posterior of u has the precision I + S A^T A S / s^2.
         cells = self.grid
         by_noise = cells.scales / cells.noise[:, None]
@@ -150,7 +151,7 @@ class Belief:
         scaled = by_noise[matters]
         covariance = scaled[:, :, None] * np.linalg.inv(precision[matters]) * scaled[:, None, :]
         total = np.logaddexp.reduce(log[matters])
-        return _Posterior(solutions, np.exp(log[matters] - total), covariance, float(total))
+        return _ProbableSolutions(solutions, np.exp(log[matters] - total), covariance, float(total))
 
     @property
     def log(self) -> float:

@@ -73,7 +73,11 @@ class Correction(Estimator):
 
     def fit(self, model: Any, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Fit the correction (see `Estimator.fit`) with all its terms, by features in use."""
+        """Fit a correction of the RPC by the features in use (see `Estimator.fit`).
+
+        `used` (n,) marks the features in use; `terms` is not looked at, as the corrections are
+        averaged over which terms they have.
+        """
         ready = model.prepared(scaling, control.crs)
         in_use = control.take(used)
         believed, weights = belief_about_rpc(ready, in_use, scaling, self.kinds)
@@ -88,7 +92,10 @@ class Correction(Estimator):
         return fit_of(ready, scaling, control, used, self, solution)
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
-        """Return the mean square errors at scaled places (see `Estimator.spread`)."""
+        """Return the mean square errors of image positions at scaled ground positions (m, 3).
+
+        See `Estimator.spread`.
+        """
         model = fitted.model
         scale = fitted.scaling.image_scale
         assert isinstance(model, RpcAffine)

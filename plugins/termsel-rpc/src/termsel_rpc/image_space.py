@@ -199,10 +199,10 @@ def _absorb_denominators(rpc: Rpc, linear: FloatArray, shifted: Rpc) -> Rpc | No
     half_size = np.array(rpc.image_scale)
 
     def grid_points(across: int) -> tuple[FloatArray, FloatArray]:
-        """Return ground points of a grid over the image, and their image offsets by the function.
+        """Return ground points (n, 3) of a grid over the image, and their image offsets (n, 2).
 
-        The grid has `across` points along line, sample and height; those that the RPC cannot locate
-        are left out.
+        The offsets are those after the linear function. The grid has `across` points along line,
+        sample and height; those that the RPC cannot locate are left out.
         """
         steps = np.linspace(-1.0, 1.0, across)
         unit = np.stack([axis.ravel() for axis in np.meshgrid(steps, steps, steps)], axis=1)

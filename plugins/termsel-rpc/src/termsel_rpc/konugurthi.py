@@ -24,9 +24,10 @@ class E50PerArea(Criterion):
     needs_check = False
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the median error of each fit [px], divided by the share of the image covered.
+        """Return the value of each fit, (p,): its median error [px], divided by the share covered.
 
-        It is infinite for points on a straight line. Raises TermselError without selection points.
+        The share is that of the image within the hull of the selected points. It is infinite for
+        points on a straight line. Raises TermselError without selection points.
         """
         if not len(fits.check):
             raise TermselError("the criterion e50-area requires selection points, and there are "

@@ -128,14 +128,15 @@ class Local(Estimator):
             used: BoolArray) -> Fit:
         """Return the fit of the field to the points in use (see `Estimator.fit`).
 
-        Raises Undetermined for lines, for too few points, and if the probability of a field is not
-        above `LIKELY`.
+        `used` (n,) marks the points in use; `terms` is not looked at. Raises Undetermined for
+        lines, for too few points, and if the probability of a field is not above `LIKELY`.
         """
         in_use = control.take(used)
         if len(in_use.lines):
             raise Undetermined("local deformation takes control points alone, and there are "
                                "control lines", hint="Leave the lines out, or choose rpc-affine.")
         ready = model.prepared(scaling, control.crs)
+        # A random field whose probability is that of there being one, against noise alone.
         field = ready.interpolation(scaling.features(in_use))
         if field is None:
             raise Undetermined(f"{used.sum()} control points are too few for local deformation",

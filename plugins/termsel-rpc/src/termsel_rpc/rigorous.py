@@ -127,7 +127,10 @@ class PushbroomRefine(Refinement):
         return image_equations(features, *blocks[::2], *blocks[1::2])
 
     def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return scaled image positions, shape (..., n, 2), with biases of shape (..., k)."""
+        """Return image positions (..., n, 2) of ground points (n, 3), all of them scaled.
+
+        `coefficients` (..., k) are the biases: one set or many.
+        """
         geographic = self.geographic(ground)
         assert self.scaling is not None  # otherwise `geographic` has raised an error
         sets = coefficients.reshape(-1, len(self.terms))

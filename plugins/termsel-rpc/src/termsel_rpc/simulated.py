@@ -104,6 +104,7 @@ def simulate_matches(wrong: float = 0.3, seed: int = 0) -> FeatureSet:
     control = np.flatnonzero(np.array(scene.points.roles) == "control")
     rng = np.random.default_rng([seed, 2])
     kind = np.full(len(scene.points), "good", dtype="<U7")
+    # Independent points stay good, so that they judge a selection.
     kind[rng.permutation(control)[:round(wrong * len(control))]] = "wrong"
     return _simulate_measured_scene(scene, kind, rng)
 
@@ -129,7 +130,10 @@ def _simulate_measured_scene(scene: FeatureSet, kind: np.ndarray[tuple[int], np.
 
 
 def candidate_quality() -> np.ndarray[tuple[int], np.dtype[np.str_]]:
-    """Return "good", "inexact" or "wrong" for each point of `simulate_candidates`, (n,)."""
+    """Return how well each point of `simulate_candidates` is measured, (n,).
+
+    It is "good", "inexact" or "wrong"; all independent points are good.
+    """
     scene = simulate_scene(SCENE, n_points=_POINTS, n_lines=0, noise=0.0)
     kind = np.full(_POINTS, "good", dtype="<U7")
     rng = np.random.default_rng([_SEED, 1])

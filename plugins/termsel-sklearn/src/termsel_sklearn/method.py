@@ -22,6 +22,10 @@ class _Fitting:
     regressor: Any
 
     def __call__(self, features: FeatureSet) -> Any:
+        """Return the projection of a regressor fitted to features: ground (n, 3) to image (n, 2).
+
+        Raises Undetermined for lines, and if the regressor refuses the points.
+        """
         points = features.points
         if len(features.lines):
             raise Undetermined("regressors take points alone, and there are lines",

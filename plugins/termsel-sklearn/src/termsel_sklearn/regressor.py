@@ -206,9 +206,21 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
 
 def _merge_points(X: FloatArray, image: FloatArray, weights: FloatArray,
                   ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return places, positions and weights without those of weight 0.
+    """Return points without those of weight 0, and those at one ground position as one point.
 
-    Points of one place become their weighted mean, in the order in which they first occur.
+    Parameters
+    ----------
+    X : ndarray, shape (n, 2) or (n, 3)
+        Ground coordinates.
+    image : ndarray, shape (n, 2)
+        Image positions.
+    weights : ndarray, shape (n,)
+
+    Returns
+    -------
+    X, image, weights : ndarray
+        The same of the m points that are left, in the order in which they first occur. The image
+        position of a merged point is the weighted mean of theirs, and its weight their sum.
     """
     is_used = weights > 0
     X = X[is_used]

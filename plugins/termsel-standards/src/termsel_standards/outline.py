@@ -119,7 +119,7 @@ def geometry_of(outline: FloatArray) -> dict[str, Any]:
 
     parts = []
     # What lies beyond 180 degrees is within them after a full turn either way. An outline over a
-    # pole touches itself there, which `make_valid` mends.
+    # pole touches itself there, which `make_valid` corrects.
     for turns in (-1.0, 0.0, 1.0):
         moved = shapely.make_valid(shapely.Polygon(outline - [turns * _TURN, 0.0]))
         part = shapely.intersection(moved, shapely.box(-180.0, -90.0, 180.0, 90.0))

@@ -46,7 +46,11 @@ def termsel_commands(cli: click.Group) -> None:
 
 @hookimpl
 def termsel_parts() -> Iterable[Part]:
-    """Return the parts that write a study's files and map, and that run its cells on a cluster."""
+    """Return what this package adds to the studies of termsel.
+
+    It is what runs their cells on a cluster, what writes their tables, charts and data for
+    IOHanalyzer, and what makes a map of their images.
+    """
     from termsel.toolkit import Part
     from termsel.toolkit.studies import StudyOutput
     from termsel_studies import ioh

@@ -203,6 +203,7 @@ def critical_differences(comparison: Comparison) -> Figure:
     names = [comparison.methods[i] for i in order]
     ranks = [comparison.ranks[i] for i in order]
     ends = runs_of_alike_ranks(ranks, comparison.difference)
+    # The first rows are methods, with a line from rank 1; the rows below are bars.
     axis = alt.X("rank:Q", title="mean rank; 1 is best", scale=alt.Scale(
         domain=[1, len(names)], nice=False))
     row = alt.Y("row:O", axis=None, sort=None)

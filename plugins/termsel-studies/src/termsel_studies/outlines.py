@@ -56,11 +56,12 @@ def map_of(study: Study) -> gpd.GeoDataFrame:
     folders = folders_of(study.cells)
     rows = study.rows
     hulls: dict[str, tuple[str, Any]] = {}
+    # Only finished cells have a folder with a result.
     for key in (row["cell"] for row in rows if row["state"] == "done" and row["cell"] in folders):
         features = read_result(study.folder / IMAGES / folders[key]).features
         positions = features.ground_vertices()[:, :2]
         hulls[key] = horizontal_crs(features.crs), shapely.multipoints(positions).convex_hull
-
+    # Images in several CRSs get one in which all have coordinates.
     has_crs = any(crs for crs, _ in hulls.values())
     outlines = {}
     for key, (crs, outline) in hulls.items():

@@ -101,6 +101,7 @@ def _image_table(rows: list[Row]) -> TableBlock:
                       ", ".join(row["blunders"] or ()),
                       str(row["without_height"] or ""), row["place"] or "",
                       notes_on_image(row, usual)))
+    # Columns that are blank in every row would only make the table wide.
     shown = [i for i in range(len(header)) if any(line[i] for line in lines)]
     return TableBlock(count_of_verdicts(rows), tuple(header[i] for i in shown),
                       [tuple(line[i] for i in shown) for line in lines],
@@ -116,7 +117,8 @@ def _table_of_instance(groups: Groups, name: str, figures: list[Summary]) -> Tab
     check points if the study compares by another measure.
     """
     optimum = figures[0].optimum
-    shows_independent = groups.measure != "independent"  # else the quartiles are theirs
+    # A study that compares by independent points has them in its quartiles.
+    shows_independent = groups.measure != "independent"
     header = ["method", "runs", "best", "lower quartile", "median", "upper quartile", "worst",
               "effect size"]
     if optimum is not None:
@@ -221,7 +223,10 @@ def title_of(study: Study) -> str:
 
 
 def study_as_markdown(study: Study) -> str:
-    """Return title, remarks, tables and valid claims of a study as Markdown."""
+    """Return the page of a study as Markdown: title, remarks, tables, and valid claims.
+
+    Parts without content are left out.
+    """
     tables, sentences = tables_of(study)
     remarks = [f"- {markdown_text(remark)}" for remark in remarks_of(study)]
     paragraphs = [f"# {markdown_text(title_of(study))}\n"]
@@ -259,7 +264,10 @@ _LATEX = {"\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"
 
 
 def study_as_latex(study: Study) -> str:
-    """Return all tables of a study as LaTeX, for the package booktabs."""
+    """Return all tables of a study as LaTeX: table environments, with rules of booktabs.
+
+    Columns of numbers are aligned to the right.
+    """
     environments = []
     for table in tables_of(study)[0]:
         columns = "".join("r" if i and _is_numeric(table, i) else "l"

@@ -145,6 +145,7 @@ def write(study: Study, folder: Path) -> list[Path]:
                        "summary.tex": study_as_latex(study)}.items():
         write_text(folder / name, text)
         written.append(folder / name)
+    # Charts are drawn by altair, and turned into files by vl-convert.
     can_draw = find_spec("altair") and find_spec("vl_convert")
     charts = figures_of(study) if can_draw else []
     if can_draw:
@@ -163,6 +164,7 @@ def write(study: Study, folder: Path) -> list[Path]:
             log.warning("%s", error)
             continue
         written.append(path)
+    # A study that went on may have other charts than when it was written last.
     for name in CHARTS:
         path = folder / "figures" / f"{name}.svg"
         if path not in written:

@@ -11,7 +11,7 @@ import numpy as np
 from termsel.toolkit import count_in_words
 from termsel.toolkit.charts import BLUNDER, EDGE, INK, ROLE_COLOURS, View, nice_number
 
-SIZE = 120
+THUMBNAIL_SIZE = 120
 """Width and largest height of the drawing [px of the screen]."""
 MAX_ARROWS = 150
 """Arrows drawn, the longest: more are not distinguished at this size."""
@@ -35,14 +35,14 @@ def draw_residual_thumbnail(view: View) -> str:
     first_line, first_sample, bottom, right = view.image_box
     n_samples = max(right - first_sample, 1.0)
     n_lines = max(bottom - first_line, 1.0)
-    pixel = SIZE / max(n_samples, n_lines)
+    pixel = THUMBNAIL_SIZE / max(n_samples, n_lines)
     width = n_samples * pixel
     height = n_lines * pixel
     rows = sorted(view.in_image, key=lambda row: -row["distance"])
     lengths = [row["distance"] for row in rows]
     median = float(np.median(lengths)) if lengths else 0.0
     is_drawn = median > _MIN_RELATIVE_RESIDUAL * max(n_samples, n_lines)
-    enlargement = _MEDIAN_LENGTH * SIZE / median if is_drawn else 0.0
+    enlargement = _MEDIAN_LENGTH * THUMBNAIL_SIZE / median if is_drawn else 0.0
     arrows: dict[str, list[str]] = {role: [] for role in ROLE_COLOURS}
     rings = []
     for row in rows[:MAX_ARROWS]:
@@ -73,7 +73,7 @@ def _arrow_path(x: float, y: float, row: dict[str, Any], enlargement: float) -> 
     viewers draw paths of huge numbers wrongly.
     """
     # The least distance keeps a residual of 0 from a division by 0.
-    enlargement = min(enlargement, 2.0 * SIZE / max(row["distance"], 1e-300))
+    enlargement = min(enlargement, 2.0 * THUMBNAIL_SIZE / max(row["distance"], 1e-300))
     dx = row["ds"] * enlargement
     dy = row["dl"] * enlargement
     direction = math.atan2(dy, dx)

@@ -168,6 +168,7 @@ def _options_of_fit(problem: str, run_settings: RunOptions, options: Mapping[str
         declared += extension.declared_options
     names_of_options = {option.name for option in declared}
     settings = {key: value for key, value in options.items() if key in names_of_options}
+    # Each term once, those of the user first.
     forced_off = settings.get("force_off", "").split(",")
     return {**settings, "force_off": ",".join(dict.fromkeys([*filter(None, forced_off), *off]))}
 

@@ -71,6 +71,7 @@ def _summarise_method(instance: str, method: str, runs: Runs, optimum: float | N
     expected = None
     interval = (0.0, 0.0)
     if optimum is not None:
+        # Runs that do not reach the target count with all their evaluations, and infinite times.
         target = reachable_value(optimum)
         reached = sum(value <= target for value in runs.values)
         interval = wilson_interval(reached, len(runs.values))

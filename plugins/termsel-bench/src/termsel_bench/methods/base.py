@@ -73,11 +73,15 @@ class Method:
         return " ".join([label, *suffixes])
 
     def require(self) -> None:
-        """Raise TermselError if the method's name is not known, or its options are refused."""
+        """Raise TermselError if the kind or the name is not known, or an option is refused.
+
+        It is asked before a benchmark, so that a misspelt name does not fail after hours.
+        """
         if self.kind not in METHOD_KINDS:
             raise unknown_name_error("kind of method", self.kind, METHOD_KINDS)
         if self.kind in ("solver", "model"):
             extension = termsel.get(f"{self.kind}s", self.name)
+            # An option may be qualified by its kind, such as solver.population.
             with options_of_file(self.file):
                 for option in extension.declared_options:
                     for key in (option.name, f"{self.kind}.{option.name}"):
@@ -102,7 +106,10 @@ class Method:
             return self._apply_method(features, seed)
 
     def _apply_method(self, features: FeatureSet, seed: int) -> Projection:
-        """Return the projection that the method finds, by its kind."""
+        """Return the projection that the method finds: a function of ground points (n, 3).
+
+        It returns image positions (n, 2) [px]. `seed` is that of methods that draw random numbers.
+        """
         if self.kind == "auto":
             return termsel.run(features=features, seed=seed).project
         if self.kind == "method":
@@ -169,6 +176,7 @@ def function_of(name: str) -> Callable[[FeatureSet], Any]:
         If there is no such module or function.
     """
     module, _, function = name.partition(":")
+    # The command was typed in the folder of the module, which Python does not search by itself.
     try:
         with modules_here():
             target = getattr(import_module(module), function or FUNCTION)

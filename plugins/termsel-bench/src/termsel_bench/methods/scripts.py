@@ -27,7 +27,11 @@ Projection = Callable[[FloatArray], FloatArray]
 
 
 class Cubic:
-    """Terms of a cubic polynomial for both axes, with control and selection points."""
+    """A choice of terms of a cubic polynomial for both axes, as a plain script would state it.
+
+    It has columns of the control points, which coefficients are fitted to, and of the selection
+    points, which judge. Without roles every third point is a selection point.
+    """
 
     def __init__(self, features: FeatureSet) -> None:
         points = features.points
@@ -80,7 +84,7 @@ class Cubic:
         return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
     def projection(self, genes: BoolArray) -> Projection:
-        """Return the projection by the terms that are on.
+        """Return the projection by the terms that genes (2 t,), those of line first, switch on.
 
         Raises TermselError if they are not fewer than the control points.
         """
@@ -100,13 +104,14 @@ def deap_projection(features: FeatureSet, seed: int) -> Projection:
 
     problem = Cubic(features)
 
-    class Fitness(base.Fitness):  # type: ignore[misc]
+    # DEAP maximises weights times values, so that an error has the weight -1.
+    class MinimisedError(base.Fitness):  # type: ignore[misc]
         weights = (-1.0,)
 
     class Chromosome(list):  # type: ignore[type-arg]
         def __init__(self, bits: Any) -> None:
             super().__init__(bits)
-            self.fitness = Fitness()
+            self.fitness = MinimisedError()
 
     # DEAP draws from the generator of the module `random`, whose state is restored afterwards.
     state = random.getstate()
@@ -144,6 +149,7 @@ def pymoo_projection(features: FeatureSet, seed: int) -> Projection:
         from pymoo.optimize import minimize
     problem = Cubic(features)
 
+    # pymoo minimises; it asks for one individual after the other.
     class Terms(ElementwiseProblem):  # type: ignore[misc]
         def __init__(self) -> None:
             super().__init__(n_var=problem.size, n_obj=1, xl=0, xu=1, vtype=bool)

@@ -49,7 +49,10 @@ class BenchSet:
     source: str = ""
 
     def files(self) -> dict[str, str]:
-        """Return the texts of the set's files by name: the points, and lines and RPC if any."""
+        """Return the texts of the set's files by their names.
+
+        They are a table of points, and a table of lines and an RPC if the set has them.
+        """
         texts = {f"{self.name}.csv": _encode_text(
             self.features.crs, "id,role,line,sample,x,y,z",
             [*_scene_rows(self.features.points, self),
@@ -95,13 +98,17 @@ def means_of(text: str) -> tuple[list[float], list[float]]:
 
 
 def round_to_files(bench_set: BenchSet) -> BenchSet:
-    """Return the set with the decimals of its files, so that all machines have the same numbers."""
+    """Return a set with all numbers rounded to the decimals that its files have.
+
+    Simulations differ by the rounding of machines, and files do not.
+    """
     def round_ground(ground: FloatArray) -> FloatArray:
         """Return ground coordinates (..., 3) with the decimals of degrees or metres."""
         plane = DEGREES if bench_set.geographic else METRES
         return np.concatenate([ground[..., :2].round(plane), ground[..., 2:].round(METRES)], -1)
 
     def round_points(points: Points) -> Points:
+        """Return points with the decimals of image and ground coordinates in files."""
         return replace(points, image=points.image.round(PIXELS),
                        ground=round_ground(points.ground))
 

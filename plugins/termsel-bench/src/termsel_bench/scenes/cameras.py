@@ -77,7 +77,11 @@ class Turning(Pushbroom):
         return station, self._rotations_of_view(station, time)
 
     def _rotations_of_view(self, station: FloatArray, time: FloatArray) -> FloatArray:
-        """Return the rotations (n, 3, 3) of the camera at stations (n, 3) and times (n,)."""
+        """Return the rotations (n, 3, 3) of a camera that follows a moving target on the ground.
+
+        `station` (n, 3) are its Earth-fixed positions [m] at the times `time` (n,) [s]. The columns
+        are the axes of the camera, Earth-fixed.
+        """
         aim = np.array(self.aim)
         course = np.array(self.course)
         # The view moves along a great circle, by this angle at the Earth's centre.
@@ -100,7 +104,10 @@ class Flying(Turning):
     sway: tuple[Angle, ...] = (Angle(), Angle(), Angle())
 
     def exposure(self, time: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return exposure stations and rotations (see `Pushbroom.exposure`)."""
+        """Return exposure stations (n, 3) [m] and rotations (n, 3, 3) at times (n,) [s].
+
+        See `Pushbroom.exposure`.
+        """
         time = np.asarray(time, dtype=np.float64)
         aim = np.array(self.aim)
         course = np.array(self.course)
@@ -353,7 +360,10 @@ def _wave_heights(rng: Generator, plan: FloatArray, waves: int) -> FloatArray:
 
 
 def _rotation_matrices(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
-    """Return rotations (n, 3, 3) by roll, pitch and yaw (n,) [rad], about x, y and z."""
+    """Return rotations (n, 3, 3) by roll, pitch and yaw, (n,) each [rad].
+
+    They are about the x, the y and the z axis.
+    """
     (sr, cr), (sp, cp), (sy, cy) = ((np.sin(a), np.cos(a)) for a in (roll, pitch, yaw))
     zeros = np.zeros_like(sr)
     ones = np.ones_like(sr)

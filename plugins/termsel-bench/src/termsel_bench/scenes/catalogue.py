@@ -146,7 +146,10 @@ def frozen_checksums() -> dict[str, str]:
 
 
 def simulate_set(name: str) -> BenchSet:
-    """Return a known set as it is simulated here, even if it is not the frozen one."""
+    """Return the set of a name in `SETS` as this machine simulates it.
+
+    Its files may differ from the frozen ones; `frozen_checksums` shows whether they do.
+    """
     settings = SETS[name]
     features, independent = _MAKERS.get(settings.kind, _simulate_camera)(settings)
     # Control and selection points alternate, so that both are all over the image.
@@ -176,7 +179,10 @@ def _simulate_camera(settings: SetSettings) -> tuple[FeatureSet, Points]:
 
 
 def _simulate_old_map(settings: SetSettings) -> tuple[FeatureSet, Points]:
-    """Return control and independent points of a simulated old map."""
+    """Return the control of a simulated old map, with noise, and independent points without.
+
+    Raises TermselError without termsel-cameras.
+    """
     with require_import("sets of old maps require", "termsel_cameras", "./plugins/termsel-cameras"):
         from termsel_cameras import simulate_map
 
@@ -202,10 +208,14 @@ def _simulate_lines(settings: SetSettings) -> tuple[FeatureSet, Points]:
 
 
 def _simulate_matches(settings: SetSettings) -> tuple[FeatureSet, Points]:
-    """Return points with a share of mismatches, 5 to 60 px off, and independent points."""
+    """Return points of which a share is mismatched, by 5 to 60 px, and independent points.
+
+    The share is the setting `wrong` of the set; independent points have no mismatches.
+    """
     scene = image_of("steady", settings.seed + 100, FRESH, settings.count + INDEPENDENT,
                      settings.count)
     features, independent = _split(scene, settings.count)
+    # A generator of its own, so that the scene is the same for any share.
     rng = np.random.default_rng([settings.seed, 1])
     n_blunders = round(settings.settings["wrong"] * settings.count)
     blunders = rng.permutation(settings.count)[:n_blunders]

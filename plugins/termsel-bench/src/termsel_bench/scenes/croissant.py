@@ -88,6 +88,7 @@ def croissant_of_measured(names: Sequence[str], files: Mapping[str, str]) -> dic
     sets = [read_measured_set(name) for name in names]
     folds = json.loads(files[FOLDS])
     record_sets = []
+    # Croissant describes a set as records, whose fields are the columns of a file.
     for entry in sets:
         file = folds[entry.name]["file"]
         columns = files[file].partition("\n")[0].split(",")

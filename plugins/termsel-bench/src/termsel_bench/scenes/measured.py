@@ -177,6 +177,7 @@ def build_published_files(names: Sequence[str]) -> dict[str, str]:
                         if set_source == source and name in names]
         if not source_files:
             continue
+        # Photos have a table of their own, of what is known of each.
         extra = ["photos.csv"] if "photos.csv" in _read_meta(source.folder)["sha256"] else []
         for file in (*source_files, *extra, "LICENSE", "meta.json"):
             contents[f"{source.folder}/{file}"] = _read_source_text(source.folder, file)

@@ -54,7 +54,9 @@ def real_folders(folder: Path) -> list[Path]:
 
 
 def real_set(folder: Path) -> BenchSet:
-    """Return the set of a folder.
+    """Return the real set in a folder, which a file in it declares.
+
+    Control and selection points are the features of the set; independent points judge.
 
     Raises
     ------
@@ -72,6 +74,7 @@ def real_set(folder: Path) -> BenchSet:
     if not re.fullmatch(r"https?://\S+", declared["source"]):
         raise TermselError(f"the source {declared['source']!r} is no address", file=str(file),
                            hint="State the source of the data, as https://...")
+    # SHA-1 of git has 40 digits, SHA-256 has 64.
     if not re.fullmatch(r"[0-9a-f]{40}|[0-9a-f]{64}", declared["commit"]):
         raise TermselError(f"the commit {declared['commit']!r} is none", file=str(file),
                            hint="Give all 40 or 64 hexadecimal digits.")
@@ -95,7 +98,10 @@ def real_set(folder: Path) -> BenchSet:
 
 
 def _declaration_of(file: Path) -> dict[str, str]:
-    """Return the declaration of a real set; raises TermselError if a required field is missing."""
+    """Return the fields by which a JSON file declares a real set: licence, source and others.
+
+    Raises TermselError if the file cannot be read, or a required field is missing or blank.
+    """
     try:
         declared: Any = json.loads(read_text(file))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:

@@ -113,7 +113,15 @@ class Solved:
 
 
 class Reduced:
-    """The reduced normal matrix, factorised."""
+    """The normal matrix of all images' parameters, without the ties, factorised.
+
+    Parameters
+    ----------
+    matrix : ndarray or sparse matrix, shape (size, size)
+        The reduced normal matrix; a dense one is positive definite.
+    sizes : sequence of int
+        Number of parameters of each image, in the order of the matrix.
+    """
 
     def __init__(self, matrix: sparse.csc_matrix | FloatArray, sizes: Sequence[int]) -> None:
         ends = np.cumsum(sizes)
@@ -173,7 +181,11 @@ class Reduced:
         return list(chain.from_iterable(blocks))
 
     def _diagonal_blocks(self, first: int, end: int) -> list[FloatArray]:
-        """Return the inverse's diagonal blocks of images whose columns begin in first..end - 1."""
+        """Return the covariances (p, p) of the images whose parameters begin in a range of columns.
+
+        The range is from `first` to `end` - 1. The covariances are diagonal blocks of the inverse
+        of the matrix.
+        """
         in_range = [columns for columns in self.slices if first <= columns.start < end]
         if not in_range:
             return []

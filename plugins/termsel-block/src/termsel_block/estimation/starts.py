@@ -174,7 +174,10 @@ def _refuse_rpcs_of_other_areas(images: Sequence[ImageInput], started: Started, 
 
 
 def _refuse_rpc_far_from_control(image: ImageInput, camera: RpcCamera) -> None:
-    """Raise TermselError if the RPC puts half of the control beyond the size of the image."""
+    """Raise TermselError if half of the control is far from where the RPC puts it in the image.
+
+    Far is more than the longer side of the image.
+    """
     control = image.control
     if not len(control):
         return
@@ -363,7 +366,12 @@ def _residual_spread(images: Sequence[ImageInput], state: BlockUnknowns) -> floa
 
 def _refuse_undetermined_images(images: Sequence[ImageInput], waiting: Sequence[int],
                    located: BoolArray) -> None:
-    """Raise TermselError that names up to five images, and the control and located ties of each."""
+    """Raise the TermselError that some images of a block cannot be oriented.
+
+    It names up to five of the images `waiting`, with the control and the ties that each has.
+    `located` (t,) says of which ties other images give the ground position.
+    """
+    # A control feature has two rows, one for either direction.
     descriptions = [f"{images[i].name!r} ({len(images[i].control) // 2} control features, "
              f"{int(located[images[i].measured.tie].sum())} ties whose ground positions other "
              "images give)"

@@ -76,10 +76,10 @@ class Steps:
                    wide: float = 1.0) -> Solved:
         """Return the solution of the normal equations of a step; the state does not change.
 
-        `variances` are those of the priors of each image's parameters, V. The equations of an image
-        are (A'PA + V^-1) dx = A'Pr - V^-1 x, with the derivatives A of its measurements, their
-        weights P and residuals r. `robust` and `wide` are as in `step`. Raises TermselError if the
-        block is not determined.
+        `variances` are those of the priors of each image's parameters, V, (p,) for each image. The
+        equations of an image are (A'PA + V^-1) dx = A'Pr - V^-1 x, with the derivatives A of its
+        measurements, their weights P and residuals r. `robust` and `wide` are as in `step`. Raises
+        TermselError if the block is not determined.
         """
         state = self.state
         tie_rows = []
@@ -259,6 +259,7 @@ class Steps:
         residual = self._control_residuals(i, camera, control)
         self.design[i] = rows
         self.noise[i] = sigma = self.state.sigma_control * control.sigma
+        # A share is the weight of a row by its residual: 0 for control that is not in use.
         share = self.state.control_in_use[i].astype(float)
         if robust:
             share = share * soft_weights(residual / sigma)

@@ -149,6 +149,7 @@ def read_block(path: Path | str) -> Block:
                            hint=_EXAMPLE) from error
     names = [image.name for image in stated.image]
     _check_names(names, path)
+    # Relative paths let a folder move together with its files.
     folder = path.parent
     common = _Common(path, _crs_of_block(stated, path), stated.z_unit,
                      folder / stated.dem if stated.dem else None)
@@ -201,6 +202,7 @@ def _refuse_copies(names: Sequence[str], ties: Ties, path: Path) -> None:
     two images share are at the same positions in both.
     """
     rows_of_image = [np.flatnonzero(ties.image == i) for i in range(len(names))]
+    # A few ties may be at one position by chance.
     for name, rows in zip(names, rows_of_image, strict=True):
         if len(rows) < _MIN_FEATURES:
             continue
@@ -430,6 +432,7 @@ def _part_of(stated: _Image, folder: Path) -> dict[str, Any]:
     options_by_image = parts_of(path)
     if not options_by_image:
         return {}
+    # The name in the block comes before that of the image's file.
     names = [stated.name, *([Path(stated.image).name] if stated.image else [])]
     for name in names:
         for image, options in options_by_image.items():

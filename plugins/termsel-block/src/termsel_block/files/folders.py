@@ -229,6 +229,7 @@ def _control_and_ties(result: BlockResult, i: int, image: BlockImage) -> Feature
         most_ties = _MAX_TIES.get(correction_of(result, i), _MAX_TIES_OTHERS)
     if len(in_image) > most_ties:
         in_image = in_image[np.linspace(0, len(in_image) - 1, most_ties).astype(int)]
+    # Names of ties may be those of control points.
     names = [f"tie-{ties.names[k]}" for k in ties.tie[in_image]]
     n = len(names)
     tie_points = Points(tuple(names), ties.position[in_image], result.ties[ties.tie[in_image]],

@@ -96,6 +96,7 @@ def _read_ties(folder: Path) -> tuple[list[str], FloatArray, str]:
     except (msgspec.DecodeError, RecursionError) as error:
         raise TermselError(f"this is not the file of a block: {error}", file=folder / RECORD,
                            hint="Run termsel block again.") from error
+    # The first row is the header.
     try:
         rows = list(csv.reader(io.StringIO(text)))[1:]
         values = np.array([row[1:] for row in rows], float).reshape(len(rows), 7)

@@ -234,9 +234,9 @@ class RpcCamera(LinearCamera):
             self.columns, keep[:len(self.columns)], strict=True) if is_kept])
 
     def grown(self) -> tuple[RpcCamera, BoolArray] | None:
-        """Return the camera with all groups, and a mask of the new parameters.
+        """Return the camera with all groups of parameters, and which are new, a mask (2m,).
 
-        None if it has the columns for jitter already.
+        None if it has the columns for jitter already, which are the last group.
         """
         if self.SMOOTH in self.columns:
             return None
@@ -254,7 +254,11 @@ class RpcCamera(LinearCamera):
         return corners.mean(axis=0), np.abs(np.diff(corners[:, :2], axis=0)[0]) / 2
 
     def first_order(self, local: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the RPC's line and sample (n, 2) [px], and the columns (n, m), without unit."""
+        """Return line and sample by the RPC (n, 2) [px], and the columns of its correction (n, m).
+
+        `local` (n, 3) are positions in the frame of the block [m]. A column has the factors of one
+        parameter, in line as in sample: 1 and the image position in half images, or waves of it.
+        """
         image = self.rpc.project(self.frame.geodetic(local))
         half_images = (image - self.rpc.image_offset) / np.abs(self.rpc.image_scale)
         polynomial = {"shift": np.ones(len(image)), "drift": half_images[:, 0],
@@ -344,7 +348,11 @@ class PolynomialCamera(LinearCamera):
 
     def jacobian(self, parameters: FloatArray, local: FloatArray, fixed: Fixed = None,
                  ) -> FloatArray:
-        """Return the derivatives (n, 2, 2m) by all parameters, with those of the perspective."""
+        """Return the derivatives (n, 2, 2m) of line and sample by all parameters (2m,).
+
+        `local` (n, 3) are positions in the frame of the block [m]. The perspective is included,
+        which depends on the terms of degree 1.
+        """
         derivatives = super().jacobian(parameters, local, fixed)
         m = len(self.powers)
         scaled = (local - self.centre) / self.half

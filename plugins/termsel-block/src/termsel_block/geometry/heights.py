@@ -135,7 +135,8 @@ class Heights:
         self.control = self._heights_near_median(self.control_heights.over[is_agreed])
 
     def _heights_near_median(self, over: FloatArray) -> FloatArray:
-        """Return the heights over the surface that are not far from the median of all."""
+        """Return those of the heights `over` (n,) the surface [m] that are near their median, (k,).
+        """
         # A wrong height would shift images without control, which follow the offset, before its row
         # is found to be a blunder. The mean of the prior, 0, counts as one more height.
         with_prior = np.append(over, 0.0)
@@ -157,7 +158,10 @@ class Heights:
         return _MAX_COUNT_GROUND if self.surface is None else _MAX_COUNT_DEM
 
     def tie_observations(self, ties: FloatArray) -> Observed:
-        """Return the heights of ties (t, 3) as observations against the surface."""
+        """Return the heights of ties as observations of the surface, a row for each tie.
+
+        `ties` (t, 3) are their positions in the frame of the block [m].
+        """
         away, joint = self._depth_below_surface(ties)
         # Heights of an image with many ties weigh less, so that all count as `_max_count` at most.
         weight = np.full(len(ties), self.sigma**-2 / max(self.crowd / self._max_count, 1.0))

@@ -135,7 +135,10 @@ class PhysicalCamera(Camera):
 
     def _jacobian_and_image(self, parameters: FloatArray,
                             local: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives (n, 2, p), and line and sample (n, 2), by one projection."""
+        """Return the derivatives of line and sample by the parameters, and line and sample.
+
+        They have the shapes (n, 2, p) and (n, 2) [px]; all come from one call of the model.
+        """
         # Central differences of all terms; the last set of terms is the parameters themselves.
         terms = parameters * self.scale
         steps = _TERM_STEP * np.diag(self.scale)

@@ -49,6 +49,7 @@ def page_of(result: BlockResult, record: BlockRecord) -> str:
         If the libraries for charts are not installed.
     """
     require_altair()
+    # The map comes first, below the facts; other charts and tables are in sections.
     ground = Figure(
         "map", "Footprints, ties and control",
         "Each dot is a tie; its colour is the standard deviation of its height"
@@ -117,7 +118,8 @@ def _rejected_table(record: BlockRecord) -> Iterator[TableBlock | str]:
     rows: list[tuple[str, ...]] = [
         (wrong.id, wrong.image, kind, f"{wrong.error:.1f}", reason_of(wrong))
         for kind, wrong in rejected[:_MAX_LISTED]]
-    if not any(row[-1] for row in rows):  # nothing to remark
+    # Without any remark their column would be blank.
+    if not any(row[-1] for row in rows):
         columns, rows = columns[:-1], [row[:-1] for row in rows]
     yield TableBlock("Observations that were rejected, the worst first", columns, rows)
     if len(rejected) > _MAX_LISTED:

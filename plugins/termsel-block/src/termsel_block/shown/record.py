@@ -177,7 +177,11 @@ def doubts_about_block(result: BlockResult) -> list[str]:
 
 
 def _doubts_about_adjustment(result: BlockResult) -> list[str]:
-    """Return doubts about RPCs, ties, convergence, roles and models of the whole block."""
+    """Return sentences on what is doubtful of the block as a whole; [] if nothing is.
+
+    They are on RPCs without a record, coarse ties, an adjustment that did not converge, points with
+    the role check, and models.
+    """
     adjusted = result.adjusted
     notes = [f"Image {image.name}: {doubt}" for image in result.block.images
              if image.rpc is not None and (doubt := rpc_without_record(image.rpc))]
@@ -191,6 +195,7 @@ def _doubts_about_adjustment(result: BlockResult) -> list[str]:
         notes.append((f"Images that still moved in the last step: {', '.join(worst)}. Give them "
                      if worst else "The precision of ties and control did not settle. Give images "
                      ) + "more control points or ties, or a plainer model.")
+    # In a single image such points select a model; an adjustment of a block selects none.
     n_check = sum(image.features.points.roles.count("check") for image in result.block.images
                   if image.features is not None)
     if n_check:
@@ -201,7 +206,10 @@ def _doubts_about_adjustment(result: BlockResult) -> list[str]:
 
 
 def _doubts_about_image(result: BlockResult, i: int) -> list[str]:
-    """Return doubts about the ties, the control and the RPC of the i-th image."""
+    """Return sentences on what is doubtful of the i-th image: its ties, control and RPC.
+
+    [] if nothing is.
+    """
     adjusted = result.adjusted
     image = result.block.images[i]
     notes = []
@@ -321,7 +329,10 @@ def _datum_in_words(images: Sequence[ImageRecord]) -> str:
 
 
 def _rejected_ties(result: BlockResult) -> list[WrongTie]:
-    """Return the measurements of ties that are not in use, with their errors [px], worst first."""
+    """Return the measurements of ties that the adjustment rejected, the largest error first.
+
+    Errors are distances in the image [px]. Each says whether the tie is in use nowhere.
+    """
     wrong_ties = []
     ties = result.block.ties
     seen = times_seen(result)
@@ -335,7 +346,10 @@ def _rejected_ties(result: BlockResult) -> list[WrongTie]:
 
 
 def _rejected_control(result: BlockResult) -> list[WrongControl]:
-    """Return the control that is out of use with its errors [px], the worst first."""
+    """Return the control features that the adjustment rejected, the largest error [px] first.
+
+    A feature that several images see is one for each image that rejected it.
+    """
     wrong_control = []
     for i, (control, residual, used) in enumerate(zip(
             result.control, result.adjusted.of_control, result.adjusted.state.control_in_use,

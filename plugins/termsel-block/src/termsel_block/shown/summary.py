@@ -41,7 +41,8 @@ def first_screen(record: BlockRecord, folder: str) -> str:
     next_image = _least_certain_images(record)[0].name
     lines = [*_labelled_lines(shown), f"Saved     {folder}/    Next: termsel plan "
              f"{quote(f'{folder}/{next_image}')}   (the least certain image)"]
-    rows = LINES - len(lines) - 4  # without what was read, the header and two empty lines
+    # Four lines are what was read, the header and two empty ones.
+    rows = LINES - len(lines) - 4
     if rows < len(record.images):
         rows = max(rows - 1, _MIN_ROWS)  # one line counts those that are not listed
     return "\n".join([read_in(record), "", *_image_rows(record, rows), "", *lines]) + "\n"
@@ -91,7 +92,10 @@ def _with_label(label: str, lines: Iterable[str]) -> Iterator[Fact]:
 
 
 def _accuracy_lines(record: BlockRecord) -> Iterator[str]:
-    """Yield the RMSE at independent check points, in the images and on the ground."""
+    """Yield lines on the RMSE at independent check points: in the images [px], and in space [m].
+
+    Without such points, a line says that the accuracy is not verified.
+    """
     with_accuracy = [image for image in record.images if image.independent is not None]
     if not with_accuracy:
         yield "not verified: no independent check points"

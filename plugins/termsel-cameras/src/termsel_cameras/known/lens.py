@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_MAX_STEPS, _CONVERGED = 50, 1e-12
+_MAX_FIXED_POINT_STEPS, _CONVERGED = 50, 1e-12
 _TESTED_SHARES = (0.25, 0.5, 0.75, 1.0)
 
 
@@ -71,14 +71,14 @@ class Lens:
     def ideal(self, measured: FloatArray) -> FloatArray:
         """Return the ideal positions (..., 2) of measured ones, the inverse of `distorted`.
 
-        Both are x and y (..., 2) divided by the focal length. NaN where the iteration does not come within
-        1e-6 of the measured position, as beyond the radius where the lens folds back.
+        Both are x and y (..., 2) divided by the focal length. NaN where the iteration does not come
+        within 1e-6 of the measured position, as beyond the radius where the lens folds back.
         """
         if self.is_ideal:
             return measured
         ideal = np.array(measured, dtype=np.float64)
         with np.errstate(all="ignore"):
-            for _ in range(_MAX_STEPS):
+            for _ in range(_MAX_FIXED_POINT_STEPS):
                 # A fixed-point iteration for distorted(ideal) = measured. It converges since the
                 # distortion changes little with the position.
                 residual = measured - self.distorted(ideal)

@@ -102,7 +102,7 @@ class SeriesSheet(Polynomial2D):
 
 
 @dataclass(frozen=True, eq=False)
-class _Posterior:
+class _SheetPosterior:
     """The affine map of a sheet by its points and the others of its series [px, units of the CRS].
 
     `values` are the four numbers of the paper and the place of the middle of the points,
@@ -154,7 +154,7 @@ class BySeries(Estimator):
                    stored_held_out=HeldOut.of(errors, in_use))
 
     def _sheet_posterior(self, model: SeriesSheet, in_use: FeatureSet,
-                         scaling: Scaling) -> tuple[_Posterior, FloatArray]:
+                         scaling: Scaling) -> tuple[_SheetPosterior, FloatArray]:
         """Return the posterior of a sheet, and the middle x, y (2,) of its points' ground."""
         plan = plan_of(in_use, scaling)
         middle = plan.mean(axis=0)
@@ -183,7 +183,7 @@ class BySeries(Estimator):
 
 
 def posterior_of(paper: Paper, plan: FloatArray, measured: FloatArray,
-                 sigma: float | None = None) -> _Posterior:
+                 sigma: float | None = None) -> _SheetPosterior:
     """Return the posterior of a sheet by its points and the prior of its paper.
 
     `plan` (n, 2) are x and y from their middle, `measured` (n, 2) samples and minus lines [px]. The
@@ -204,11 +204,11 @@ def posterior_of(paper: Paper, plan: FloatArray, measured: FloatArray,
             freedom = max(measured.size - effective, 0.0)
             noise = float(np.sqrt((paper.freedom * paper.noise**2 + square)
                                   / (paper.freedom + freedom)))
-    return _Posterior(values, covariance, noise, effective)
+    return _SheetPosterior(values, covariance, noise, effective)
 
 
 def _start(paper: Paper, plan: FloatArray, measured: FloatArray) -> FloatArray:
-    """Return the six values (see `_Posterior`) from which the fit of a sheet begins, (6,).
+    """Return the six values (see `_SheetPosterior`) from which the fit of a sheet begins, (6,).
 
     Scale and turn are those of a similarity by the points, or the means of the paper if there is
     one point alone; stretch and shear are the means. `plan` and `measured` are as for

@@ -30,8 +30,8 @@ from termsel_formats.points.written import (
     say_checked,
 )
 
-_GROUND = ("id", "lat", "lon", "height", "sigma_x", "sigma_y", "sigma_z")
-_IMAGE = ("image", "column", "row", "sigma_column", "sigma_row")
+_GROUND_CELLS = ("id", "lat", "lon", "height", "sigma_x", "sigma_y", "sigma_z")
+_IMAGE_CELLS = ("image", "column", "row", "sigma_column", "sigma_row")
 _HEADINGS = {"id": "id", "y": "lat", "x": "lon", "z": "height", "sample": "column", "line": "row",
          "sigma_sample": "sigma_column", "sigma_line": "sigma_row"}
 
@@ -83,7 +83,7 @@ class AspGcp(Reader):
         name_of = _names_by_id(path)
         # ASP takes whole numbers as ids alone; the names are in comments.
         columns.insert(0, tuple(name_of.get(cell, cell) for cell in ids))
-        cells_of = dict(zip(_GROUND + _IMAGE, columns, strict=True))
+        cells_of = dict(zip(_GROUND_CELLS + _IMAGE_CELLS, columns, strict=True))
         table = Table(path, "", _HEADINGS, {key: cells_of[name] for key, name in _HEADINGS.items()},
                       lines)
         return FeatureSet(table.points(table.stack("line", "sample"), table.stack("x", "y", "z"),
@@ -103,9 +103,9 @@ _Row = tuple[int, list[str], dict[str, list[str]]]
 def _parse_rows(path: Path) -> list[_Row]:
     """Return the rows of a file that are not comments, divided into their cells.
 
-    Of each row there are the number of its line, the cells of `_GROUND`, and for each image by its
-    name the cells of `_IMAGE` after the name. Raises TermselError if there is no row, or if one
-    does not have seven cells and five for each image.
+    Of each row there are the number of its line, the cells of `_GROUND_CELLS`, and for each image
+    by its name the cells of `_IMAGE_CELLS` after the name. Raises TermselError if there is no row,
+    or if one does not have seven cells and five for each image.
     """
     points: list[_Row] = []
     for number, text in enumerate(read_text(path).splitlines(), 1):
@@ -115,7 +115,8 @@ def _parse_rows(path: Path) -> list[_Row]:
         if not _fits_layout(cells):
             raise TermselError(
                 f"the row has {len(cells)} cells, expected 7 and 5 for each image", file=path,
-                line=number, hint=f"Expected: {' '.join(_GROUND)}, then {' '.join(_IMAGE)}.")
+                line=number, hint=f"Expected: {' '.join(_GROUND_CELLS)}, then "
+                                  f"{' '.join(_IMAGE_CELLS)}.")
         points.append((number, cells[:7], {
             cells[i]: cells[i + 1:i + 5] for i in range(7, len(cells), 5)}))
     if not points:
@@ -191,7 +192,7 @@ class AspGcpWriter(PointsWriter):
         ground = to_wgs84(result.features.crs)(points.ground)
         sigma_image = image_sigma(points, result)
         image = image_in_one_cell(self.options["image"], path, r"\s,#", "blanks, commas or #")
-        rows = [f"# WKT: {_WKT_OF_WGS84}", f"# {' '.join(_GROUND)} {' '.join(_IMAGE)}",
+        rows = [f"# WKT: {_WKT_OF_WGS84}", f"# {' '.join(_GROUND_CELLS)} {' '.join(_IMAGE_CELLS)}",
                 "# WGS84; heights above the ellipsoid [m]; rows and columns from 0"]
         numbers = _row_ids(points.ids)
         columns = (points.image.tolist(), ground.tolist(), sigma_image.tolist(), checked.is_check)

@@ -32,7 +32,7 @@ from termsel_formats.points.written import (
     say_checked,
 )
 
-_MEASURES, _GROUND = "SetOfMesureAppuisFlottants", "DicoAppuisFlottant"
+_MEASURES_ELEMENT, _GROUND_ELEMENT = "SetOfMesureAppuisFlottants", "DicoAppuisFlottant"
 _MICMAC_HINT = "Write it again with SaisieAppuisInit or GCPConvert."
 _ENDINGS = {"-S2D.xml": "-S3D.xml", "-Mesures.xml": "-Appuis.xml", "_mesures.xml": "_appuis.xml"}
 """Endings of files of measures, and of the files of the ground next to them."""
@@ -51,7 +51,7 @@ class MicmacXml(Reader):
         """Return True for XML with measures or with points on the ground."""
         # By the root elements; either file may be given.
         return head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<") and (
-            _MEASURES.encode() in head or _GROUND.encode() in head)
+            _MEASURES_ELEMENT.encode() in head or _GROUND_ELEMENT.encode() in head)
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points of one image; of several, the option `image_name` chooses one.
@@ -200,11 +200,11 @@ class MicmacXmlWriter(PointsWriter):
             raise TermselError("all points that can be written are independent check points, which "
                                "MicMac would take as control", file=path,
                                hint=f"The format requires {self.needs}.")
-        measures = ElementTree.Element(_MEASURES)
+        measures = ElementTree.Element(_MEASURES_ELEMENT)
         image_measures = ElementTree.SubElement(measures, "MesureAppuiFlottant1Im")
         _add_text_element(image_measures, "NameIm", image_name(self.options["image"], path))
         ground = ElementTree.Element("Global")
-        appuis = ElementTree.SubElement(ground, _GROUND)
+        appuis = ElementTree.SubElement(ground, _GROUND_ELEMENT)
         sigma = float(self.options["ground_sigma"])
         for name, (line, sample), position in zip(control.ids, control.image.tolist(),
                                                   control.ground.tolist(), strict=True):

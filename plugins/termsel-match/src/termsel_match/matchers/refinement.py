@@ -18,7 +18,8 @@ from termsel_match.matchers import Matches
 
 # In px: windows that are compared have 21 px along either side.
 _HALF = 10
-_MAX_STEPS = 15
+# Steps of least squares for one match; those that take more have no clear optimum.
+_MAX_ITERATIONS = 15
 # In px.
 _SETTLED_STEP = 1e-3
 # Px between the keypoints and the refined place.
@@ -86,7 +87,7 @@ def refine_matches(first: Layers, second: Layers, at_first: FloatArray, at_secon
     position = begin.copy()
     active = np.arange(len(usable))
     # Steps of at most a pixel, until none moves by more than a thousandth.
-    for _ in range(_MAX_STEPS):
+    for _ in range(_MAX_ITERATIONS):
         step = _solve_steps(smooth, template[active], position[active], window)[0]
         position[active] += np.clip(step, -1, 1)
         has_left = np.linalg.norm(position - begin, axis=1) > _MAX_REFINEMENT

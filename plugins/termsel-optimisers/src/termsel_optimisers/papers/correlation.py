@@ -119,7 +119,10 @@ class CorrelationSeededGA(GeneticAlgorithm):
                                name=stated[0])
 
     def toolbox(self, problem: Problem, rng: np.random.Generator) -> base.Toolbox:
-        """Return the toolbox of the GA with a first population that follows the correlations."""
+        """Return the toolbox of the GA, with a first population drawn by correlations (eq. 4).
+
+        A term is switched on with a probability that grows with its correlations.
+        """
         o = self.options
         box = super().toolbox(problem, rng)
         scale, offset = PRESETS.get(o["preset"], (o["scale"], o["offset"]))

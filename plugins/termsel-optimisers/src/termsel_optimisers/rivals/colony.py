@@ -100,7 +100,11 @@ class AntColony(Solver):
     )
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
-        """Yield generations without end (see `Solver.generations`)."""
+        """Yield the generations of ants without end (see `Solver.generations`).
+
+        Each has the pheromone (2, g) of the states off and on of each gene, from which its
+        successor is drawn.
+        """
         o = self.options
         ants = problem.genome.random(rng, o["population"])
         evaluation = problem.evaluate(ants)

@@ -36,10 +36,11 @@ class FigureCondition(Criterion):
                                        "1.", int, 1, 1_000_000),)
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the predicted error over the image [px] of each model.
+        """Return the predicted error over the image [px] of each model, (p,).
 
-        It is infinite without terms, without enough redundancy, and for terms that depend on each
-        other. Raises TermselError for a model that corrects its predictions by the control.
+        It is the root of twice the mean variance over a grid, and infinite without terms, without
+        enough redundancy, and for terms that depend on each other. Raises TermselError for a model
+        that corrects its predictions by the control.
         """
         if fits.model.corrects:
             raise TermselError(f"criterion {self.name!r} cannot judge model {fits.model.name!r}, "

@@ -132,7 +132,10 @@ class Lasso(TermRegression):
     )
 
     def choose(self, regression: Regression) -> BoolArray:
-        """Return the columns (k,) in use at the penalty with the least held-out error."""
+        """Return which columns (k,) the lasso uses at the penalty of the least held-out error.
+
+        The error is that of a cross-validation, in which every `folds`-th row is held out together.
+        """
         path = _lasso_path(regression, np.ones(len(regression.target), dtype=bool))
         if not path:
             return regression.kept

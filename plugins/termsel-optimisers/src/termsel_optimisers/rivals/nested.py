@@ -45,6 +45,7 @@ class NestedRegression(TermRegression):
         It ends once the root mean square of each target, and its last change, are below `thumb`, if
         no column explains anything, or if no more are allowed.
         """
+        # Targets are scaled: a unit of theirs is `regression.pixels` px.
         thumb = self.options["thumb"] / regression.pixels
         selection = regression.kept.copy()
         errors = rational_errors(regression, selection)
@@ -70,7 +71,11 @@ def rms_of_targets(errors: FloatArray) -> FloatArray:
 
 
 def rational_errors(regression: Regression, selection: BoolArray) -> FloatArray:
-    """Return the scaled errors (m, r) of image coordinates after adjusting chosen columns (k,)."""
+    """Return the errors (m, r) of the r targets after a fit of the columns that are selected.
+
+    `selection` (k,) marks them. Errors are scaled image coordinates, measured minus computed, of
+    the rational function itself rather than of its linear equations.
+    """
     x = np.zeros((len(selection), regression.target.shape[1]))
     lengths = np.linalg.norm(regression.columns[:, selection], axis=0)
     solution = np.linalg.lstsq(regression.unit[:, selection], regression.target,

@@ -145,7 +145,11 @@ def scatter_of(regression: Regression) -> tuple[FloatArray, FloatArray]:
 
 
 def sweep_pivot(scatter: FloatArray, pivot: int) -> FloatArray:
-    """Return the matrix after the elimination transformation of a pivot, which undoes itself."""
+    """Return a scatter matrix (n, n) after the elimination of the column `pivot`.
+
+    Its rows and columns are then those of the residuals of the others after a regression on that
+    column. Done twice, it gives the matrix back.
+    """
     d = scatter[pivot, pivot]
     row = scatter[pivot].copy()
     column = scatter[:, pivot].copy()

@@ -114,7 +114,8 @@ class Stepwise(TermRegression):
             if grown is None:
                 return selection
             grown = _prune(regression, grown, alpha_out)
-            if grown.tobytes() in visited:  # entering and leaving would go on for ever
+            # A selection that comes back would do so for ever.
+            if grown.tobytes() in visited:
                 return selection
             visited.add(grown.tobytes())
             selection = grown

@@ -70,7 +70,11 @@ class TransgenicGA(GeneticAlgorithm):
 
     def children(self, box: base.Toolbox, genes: BoolArray, evaluation: Evaluation,
                  n: int) -> BoolArray:
-        """Return n children (n, g) of selected parents, of which a share is transgenic."""
+        """Return n children, as genes (n, g), of parents that are selected from `genes` (p, g).
+
+        A share of the parents is transgenic: they get the genes that distinguish good individuals
+        in this population.
+        """
         parents = genes[box.select(evaluation.order(), n)]
         coefficient = gene_qualification(genes, evaluation)
         limit = NormalDist().inv_cdf(1.0 - self.options["alpha"] / 2.0)
