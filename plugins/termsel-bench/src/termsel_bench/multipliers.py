@@ -75,7 +75,7 @@ class Bound:
 
     # (n,).
     alphas: FloatArray
-    # Of z'Qz where s'z = 1.
+    # The least value of z'Qz where s'z = 1.
     minimum: float
     # L^-1 of Q = L L'.
     inverse: FloatArray

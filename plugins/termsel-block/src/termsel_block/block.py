@@ -21,7 +21,7 @@ class Ties:
     Parameters
     ----------
     names : tuple of str
-        Of the tie points.
+        Names of the tie points.
     tie, image : ndarray, shape (n,)
         Index of the tie point and of the image of each measurement.
     position : ndarray, shape (n, 2)
@@ -45,7 +45,7 @@ class BlockImage:
         Its own points and lines, in the CRS of the block. Points with the role independent judge
         and are not adjusted.
     rpc : Rpc, optional
-        Of its vendor.
+        RPC of its vendor.
     rpc_file : Path, optional
     raster : Path, optional
         The image itself.
@@ -55,7 +55,7 @@ class BlockImage:
         Correction of the RPC; "auto" is chosen by evidence. Without an RPC "auto" is a polynomial,
         and any other the name of a model whose terms have priors, such as scanner.
     options : mapping
-        Of that model.
+        Options of that model.
     of_dem : frozenset of str
         Points and lines whose height was taken from the DEM, of which they show nothing.
     """
@@ -78,7 +78,7 @@ class Block:
     Parameters
     ----------
     crs : str
-        Of all ground coordinates.
+        CRS of all ground coordinates.
     images : tuple of BlockImage
     ties : Ties
     dem : Path, optional

@@ -68,7 +68,7 @@ class BlockResult:
     frame : Frame
     adjusted : Adjusted
     control : tuple of OwnControl
-        Of each image.
+        Control of each image.
     """
 
     block: Block

@@ -94,7 +94,7 @@ class OwdisBlock(Problem):
     block : Block
         Points with the role check judge; those with the role independent take no part.
     tie_candidates : int
-        Of more ties, as many that are well distributed are candidates.
+        Most ties that are candidates; if there are more, they are well distributed ones.
     least, most : int, optional
         Number of control features and ties together.
     """

@@ -96,7 +96,7 @@ def simulate_block(
         Amplitudes of a sine along the lines of the first images, of 2 to 5 periods an image, which
         the RPC lacks [px].
     noise : float
-        Of all measurements in the image [px].
+        Standard deviation of all measurements in the image [px].
     wrong : float
         Share of ties with one wrong measurement, 5 to 60 px off.
     independent : int

@@ -31,7 +31,7 @@ SIZE = (6000, 8000)
 """Lines and samples of the scan [px]."""
 
 GSD = 0.25
-"""Of a pixel on the ground [m]: a map of 1:3000, scanned with 300 dpi."""
+"""Size of a pixel on the ground [m]: a map of 1:3000, scanned with 300 dpi."""
 
 ORIGIN = (512000.0, 5340000.0)
 """Easting and northing of the middle of the map [m]."""

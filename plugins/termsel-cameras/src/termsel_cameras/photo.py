@@ -21,13 +21,13 @@ SIZE = (3800, 3800)
 """Lines and samples of the scan [px]."""
 
 PHOTO_FOCAL = 2500.0
-"""Of the camera [px]."""
+"""Focal length of the camera [px]."""
 
 HEIGHT = 3000.0
-"""Of the camera above the plane of heights 0 [m]."""
+"""Height of the camera above the plane of heights 0 [m]."""
 
 RELIEF = 60.0
-"""Of the hills above and below their mean [m]."""
+"""How far the hills rise above and fall below their mean height [m]."""
 
 CENTRE = (1990.0, 1800.0)
 """Principal point, centre of the distortion [px]."""

@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 
 RADIAL_POWERS = (2, 4, 6)
-"""Of the distance from the centre of distortion."""
+"""Powers of the distance from the centre of distortion that are terms."""
 
 _MAX_NEWTON_STEPS, _CONVERGED = 30, 1e-12
 _TESTED_SHARES = (0.25, 0.5, 0.75, 0.9, 1.0)

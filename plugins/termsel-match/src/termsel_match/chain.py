@@ -129,7 +129,7 @@ def judge(
     folder : path-like, optional
         For candidates and result.
     seed : int
-        Of the selection.
+        Seed of the selection.
     progress : callable, optional
         Called with the fraction of the matching that is done.
     **matching

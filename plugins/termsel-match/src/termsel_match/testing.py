@@ -20,12 +20,12 @@ from termsel_match.matchers import Matcher, Matches, Window, fault_of_matches
 SEARCH = 20.0
 # Px of the first window, and of the second around it.
 _WINDOW_SIDE, _WINDOW_BORDER = 160, 24
-# In px: the second shows the ground so much further down and to the left.
+# How much further down and to the left the second shows the ground [px].
 _TRUE_SHIFT = (7.0, -5.0)
-# In px.
+# Distance from its true position up to which a match is right [px].
 _NEAR = 2.0
 _MIN_RIGHT = 8
-# Of the matches that must be right.
+# Least share of the matches that must be right.
 _RIGHT_SHARE = 0.5
 _SEEDS = 3
 
@@ -36,7 +36,7 @@ def declaration(matcher: Matcher) -> None:
 
 
 def finds_a_shift(matcher: Matcher) -> None:
-    """Of the matches of two windows that differ by noise and a shift, half and more are right."""
+    """At least half of the matches of two windows that differ by noise and a shift are right."""
     for seed in range(_SEEDS):
         first, second = _window_pair(seed)
         matches = _valid_matches(matcher, first, second)

@@ -41,7 +41,7 @@ def from_ask_tell(factory: Callable[[Problem, np.random.Generator], AskTell], *,
         the `Evaluation`, whose violation is 0 where a selection is feasible. A class is a factory,
         too.
     name : str, optional
-        Of the solver; by default that of the factory.
+        Name of the solver; by default that of the factory.
     max_objectives : int
         Most objectives that it takes.
 

@@ -18,7 +18,7 @@ from termsel.toolkit.searches import SEGMENTS, OwnChance
 from termsel_optimisers.deap_toolbox import Individual, register, to_deap
 
 DEAP_ALGORITHMS = ("eaSimple", "eaMuPlusLambda", "eaMuCommaLambda")
-"""Of deap.algorithms, by name."""
+"""Names of the algorithms of deap.algorithms."""
 
 CHECK = "Check your loop, and the operators with their arguments: select, mate, mutate."
 
@@ -189,7 +189,7 @@ def from_deap(toolbox_factory: Callable[[Problem], base.Toolbox],
         Of `deap.algorithms`, or a loop of one's own, which takes ``ngen`` or yields the
         population after each generation.
     name : str, optional
-        Of the solver; by default that of the factory.
+        Name of the solver; by default that of the factory.
     **arguments
         Of the algorithm, such as cxpb and mutpb; 0.5 and 0.2 by default.
 

@@ -149,7 +149,7 @@ def from_pymoo(algorithm: Algorithm, *, name: str | None = None) -> type[Solver]
         Such as ``GA(pop_size=60, sampling=BinaryRandomSampling(), ...)``. Every search has a copy
         of it. Forced genes and cardinality are kept by repairing what it asks for.
     name : str, optional
-        Of the solver; by default that of the algorithm's class.
+        Name of the solver; by default that of the algorithm's class.
 
     Returns
     -------

@@ -27,7 +27,7 @@ EMBEDDED = (*NOMINAL, *SCENES)
 POSITION = ("ahead", "starboard", "down")
 ATTITUDE = ("roll", "pitch", "yaw")
 
-# Of the scaled image unit: some px.
+# Step of a bias by which derivatives are differences: some px in the image.
 _DERIVATIVE_STEP = 1e-3
 
 

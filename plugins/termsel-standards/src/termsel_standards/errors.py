@@ -58,7 +58,7 @@ class GroundErrors:
         Parameters
         ----------
         horizontal, vertical : float, optional
-            Of each horizontal coordinate, and of the height [m].
+            Standard deviation of each horizontal coordinate, and of the height [m].
         """
         stated = [np.nan if sigma is None else sigma
                   for sigma in (horizontal, horizontal, vertical)]

@@ -96,7 +96,8 @@ def write_sigma(
         Raster of heights. Its vertical datum is that of the control where it declares none, else
         it is converted to that.
     height : float, optional
-        Of the ground, where no raster is given; that of the middle of the control by default.
+        Height of the ground, where no raster is given; by default that of the middle of the
+        control.
     final : bool, optional
         As for `termsel.export`.
     overwrite : bool

@@ -93,9 +93,9 @@ class Distribution:
     ----------
     points : int
     required : int
-        By ASPRS, for the area.
+        Number that ASPRS asks for, by the area.
     area : float or None
-        Of the data that they test [km2].
+        Area of the data that they test [km2].
     quadrants : tuple of int or None
         Points in the south-west, south-east, north-west and north-east.
     apart : float or None
@@ -173,7 +173,7 @@ class PredictedStatement:
     level : float
         Probability that the interval holds the RMSE.
     rmse_ground, low_ground, high_ground : float or None
-        The same on the ground [m].
+        Predicted RMSE on the ground and its interval [m].
     method : str
         How it was found.
     points : int

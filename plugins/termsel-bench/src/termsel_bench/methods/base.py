@@ -44,7 +44,7 @@ class Method:
     ----------
     kind : {"auto", "method", "solver", "model", "package", "peer"}
     name : str
-        Of the method, solver, model or peer; "module:function" of a package.
+        Name of the method, solver, model or peer; "module:function" for a package.
     options : mapping
         Options of a solver or a model by name.
     problem : str

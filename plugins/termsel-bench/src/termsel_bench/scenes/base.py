@@ -38,7 +38,7 @@ class BenchSet:
     independent : Points
         Independent check points; without noise where they are simulated.
     licence, source : str
-        Of a real set; "" of a simulated one.
+        Licence and source of a real set; "" for a simulated one.
     """
 
     name: str

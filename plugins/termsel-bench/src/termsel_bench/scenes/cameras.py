@@ -30,24 +30,24 @@ SCENE_CRS = "EPSG:4979"
 class Ranges:
     """Ranges that sizes are drawn from."""
 
-    # Part of the seeds.
+    # Part of the seeds, so that both ranges draw other scenes.
     number: int
-    # Of orbits [m].
+    # Altitude of orbits [m].
     altitude: tuple[float, float]
-    # Orbit [deg].
+    # Inclination of the orbit [deg].
     incline: tuple[float, float]
-    # Off nadir [deg].
+    # Angle of the view off nadir [deg].
     tilt: tuple[float, float]
-    # On the ground from orbit [m].
+    # Size of a pixel on the ground, from orbit [m].
     pixel: tuple[float, float]
     # Lines and samples [px].
     size: tuple[int, int]
-    # Of the scene's width.
+    # Relief, as a share of the scene's width.
     relief: tuple[float, float]
-    # Of measurements [px].
+    # Noise of measurements [px].
     noise: tuple[float, float]
     latitude: tuple[float, float]
-    # Of the terrain.
+    # Number of waves of the terrain.
     waves: int
 
 
@@ -67,7 +67,7 @@ class Turning(Pushbroom):
     aim: tuple[float, float, float] = (0.0, 0.0, 0.0)
     # Earth-fixed, of length 1.
     course: tuple[float, float, float] = (1.0, 0.0, 0.0)
-    # Of the view on the ground [m/s].
+    # Speed of the view on the ground [m/s].
     speed: float = 7000.0
 
     def exposure(self, time: ArrayLike) -> tuple[FloatArray, FloatArray]:

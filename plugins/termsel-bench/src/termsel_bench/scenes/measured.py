@@ -50,7 +50,7 @@ class MeasuredSource:
         What tables call its sets, and how their names begin.
     crs : str
     folds : int
-        Of each set.
+        Number of folds of each set.
     sees_one : bool
         Whether a method sees one fold and the others judge it; else one is hidden and judges.
     """
@@ -84,7 +84,7 @@ class MeasuredSet:
     sees_one : bool
         As for `MeasuredSource`.
     licence, source, sha256 : str
-        Of the file of its points; the source with its commit.
+        Licence, source with its commit, and checksum of the file of its points.
     """
 
     name: str

@@ -67,7 +67,7 @@ def adjust_block(state: BlockUnknowns, measured: Sequence[Measured], control: Se
     state : BlockUnknowns
         The start; it is changed.
     measured, control : sequence
-        Of each image.
+        Measurements of ties, and control, of each image.
     heights : Heights
     progress : callable, optional
         Called with the share that is done.

@@ -248,13 +248,13 @@ def solve(
     Parameters
     ----------
     tie_rows : sequence of TieRows
-        Of each image.
+        Rows of the ties of each image.
     of_images, right_of_images : sequence of ndarray, shapes (p, p) and (p,)
         What priors and control add to each image's normal equations.
     of_ties, right_of_ties : ndarray, shapes (t, 3, 3) and (t, 3)
         What priors add to each tie's.
     sharing : sequence
-        Of `image_pairs`.
+        Pairs of images, as `image_pairs` returns them.
 
     Raises
     ------

@@ -55,13 +55,13 @@ class Steps:
         self.shared = shared
         self.slopes: dict[int, FloatArray] = {}
         self.fixed_parts: dict[int, tuple[Camera, FloatArray, Fixed]] = {}
-        """Of each image: camera and ties, and what no parameter changes at these ties."""
+        """For each image, its camera and ties, and what no parameter changes at these ties."""
         self.design: dict[int, FloatArray] = {}
         """Rows of each image's control in the last equations."""
         self.weights: dict[int, FloatArray] = {}
-        """And their weights, 1 where they count in full."""
+        """Weights of these rows, 1 where they count in full."""
         self.noise: dict[int, FloatArray] = {}
-        """And their standard deviations [px], which each step then estimates again."""
+        """Standard deviations of these rows [px], which each step then estimates again."""
 
     def step(self, robust: bool, wide: float = 1.0) -> None:
         """Make a Gauss-Newton step, shortened until the cost does not rise.

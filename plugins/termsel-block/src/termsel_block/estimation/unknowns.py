@@ -34,11 +34,11 @@ class BlockUnknowns:
     cameras : list of Camera
         One for each image.
     parameters : list of ndarray, shape (p,)
-        Of each image's camera, in standard deviations of their priors.
+        Parameters of each image's camera, in standard deviations of their priors.
     ties : ndarray, shape (t, 3)
         Positions of the ties in the frame [m].
     variances : list of ndarray, shape (p,)
-        Of the priors of the parameters of each image.
+        Variances of the priors of the parameters of each image.
     sigma_ties : float
         Standard deviation of a tie's line or sample [px].
     sigma_control : float
@@ -70,11 +70,11 @@ class Adjusted:
     solved : Solved
         The last normal equations, with what is needed for covariances.
     residuals : list of ndarray, shape (n, 2)
-        Of the ties of each image, measured minus computed [px].
+        Residuals of the ties of each image, measured minus computed [px].
     of_control : list of ndarray, shape (k,)
-        Of the rows of each image's control [px].
+        Residuals of the rows of each image's control [px].
     evidence : list of dict
-        Of each image: logarithm of the Bayes factor of each group of columns that was weighed.
+        For each image, the logarithm of the Bayes factor of each group of columns that was weighed.
     steps : int
     converged : bool
     offset, roughness : float

@@ -13,7 +13,7 @@ def log_bayes_factor(mean: FloatArray, covariance: FloatArray, prior: FloatArray
     Parameters
     ----------
     mean, covariance : ndarray, shapes (k,) and (k, k)
-        Of the posterior.
+        Mean and covariance of the posterior.
     prior : ndarray, shape (k,)
         Variances of the prior, whose mean is 0.
 

@@ -19,7 +19,7 @@ def p_value_of_columns(columns: FloatArray, residuals: FloatArray, weight: Float
     columns : ndarray, shape (n, k)
         What each of k candidate parameters would move each tie by, in line and in sample alike.
     residuals : ndarray, shape (n, 2)
-        Of the ties of one image without these columns [px].
+        Residuals of the ties of one image without these columns [px].
     weight : ndarray, shape (n,)
         Inverse variances, up to a common factor.
 

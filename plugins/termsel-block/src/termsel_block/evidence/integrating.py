@@ -28,7 +28,7 @@ _MIN_IMAGE_RATIO, _MAX_IMAGE_RATIO = 0.03, 30.0
 
 
 _PRECISION_RANGE = 1e-6, 1e6
-"""Of priors, over those of the first guesses."""
+"""Range of the precisions of priors, divided by those of the first guesses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class Integrated:
         What the parameters are more than at the place of linearisation.
     covariance : ndarray, shape (p, p)
     draws : ndarray, shape (d, p)
-        Of what they are off from that mean.
+        Draws of their differences from that mean.
     precision : ndarray, shape (p,)
         Inverse variances of priors that, as known ones, have that mean; nan where they are known.
     """
@@ -59,11 +59,11 @@ class _Group:
     Parameters
     ----------
     images : tuple of ndarray
-        Of an image and a scale, each.
+        Numbers of the parameters of an image that share a scale, for each such pair.
     scale : ndarray, shape (n,)
-        Number of that scale.
+        Number of the scale of each of these arrays.
     min_ratio : float
-        Of the standard deviation that all images share; nan where that is 1 and known.
+        Least ratio of the standard deviation that all images share; NaN where that is 1 and known.
     """
 
     images: tuple[IntArray, ...]

@@ -31,7 +31,7 @@ def estimate_variances(cameras: Sequence[Camera], parameters: Sequence[FloatArra
     ----------
     cameras : sequence of Camera
     parameters, covariances : sequence of ndarray, shapes (p,) and (p, p)
-        Of each image, of the posterior with the present variances.
+        Mean and covariance of the posterior of each image, with the present variances.
     variances : sequence of ndarray, shape (p,)
         The present variances. Those of groups that a camera fixes stay.
 
@@ -84,7 +84,8 @@ def loosening_factors(cameras: Sequence[Camera], parameters: Sequence[FloatArray
     ----------
     cameras : sequence of Camera
     parameters, covariances : sequence of ndarray, shapes (p,) and (p, p)
-        Of each image, of the posterior, in units of the present standard deviations.
+        Mean and covariance of the posterior of each image, in units of the present standard
+        deviations.
 
     Returns
     -------

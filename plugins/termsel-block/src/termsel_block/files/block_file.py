@@ -101,7 +101,7 @@ class _Common:
 
     @property
     def folder(self) -> Path:
-        """That of the file, from which paths are counted."""
+        """Folder of the file of the block, which its paths are relative to."""
         return self.file.parent
 
 

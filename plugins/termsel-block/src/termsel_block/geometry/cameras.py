@@ -61,7 +61,7 @@ class Camera(ABC):
     permanent : frozenset of str
         Groups that no evidence can drop.
     fixed_variance : frozenset of str
-        Those of them whose variance stays what it was.
+        Groups among these whose variance is not estimated.
     nested : bool
         Whether a group makes sense only with all before it.
     scales : tuple of str

@@ -32,7 +32,7 @@ class Frame:
     Parameters
     ----------
     crs : str
-        Of ground coordinates; "local" stays as it is, less the origin.
+        CRS of ground coordinates; those in "local" stay as they are, less the origin.
     origin : ndarray, shape (3,)
         Earth-fixed [m].
     axes : ndarray, shape (3, 3)

@@ -48,7 +48,7 @@ class ControlHeights:
     over : ndarray, shape (k,)
         Over the surface [m].
     of_rows : tuple of ndarray, shape (n,)
-        Of each image: the height of each row of its control; -1 where that shows none.
+        For each image, the number of the height of each row of its control; -1 for none.
     """
 
     over: FloatArray = field(default_factory=lambda: np.empty(0))
@@ -230,7 +230,7 @@ class Heights:
         ----------
         ties : ndarray, shape (t, 3)
         covariance : ndarray, shape (t, 3, 3)
-            Of the ties' positions, given the images [m2].
+            Covariances of the ties' positions, given the images [m2].
         is_seen : ndarray of bool, shape (t,)
         """
         self.far = abs(self.offset)

@@ -201,7 +201,7 @@ class PhysicalCamera(Camera):
         ----------
         parameters : ndarray, shape (p,)
         covariance : ndarray, shape (p, p)
-            Of their posterior.
+            Covariance of their posterior.
 
         Notes
         -----

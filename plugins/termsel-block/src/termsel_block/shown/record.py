@@ -83,7 +83,7 @@ class ImageRecord(msgspec.Struct, frozen=True):
     rpc: str | None = None
     """File of its RPC."""
     options: dict[str, str | int | float | bool] = {}
-    """Of its model."""
+    """Options of its model."""
 
 
 class SpaceRecord(msgspec.Struct, frozen=True):
@@ -106,7 +106,7 @@ class BlockRecord(msgspec.Struct, frozen=True):
     sigma_ties: float
     """Standard deviation of a tie in line and in sample, from the adjustment [px]."""
     sigma_control: float
-    """The same of control [px]."""
+    """Standard deviation of control in line and in sample, from the adjustment [px]."""
     redundancy: float
     steps: int
     converged: bool

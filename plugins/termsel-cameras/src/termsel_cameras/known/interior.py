@@ -102,7 +102,7 @@ class Interior:
     position_spread : float
         Its standard deviation [m].
     position_height_spread : float
-        That of its height [m], if it is another one; else NaN.
+        Standard deviation of its height [m], if it differs from that in plan; else NaN.
     height : float
         Flying height above the ground [m]; NaN where it is not known.
     source : str

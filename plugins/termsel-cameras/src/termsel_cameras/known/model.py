@@ -57,10 +57,10 @@ UNKNOWN_REACH = 0.3
 where nothing shows it."""
 
 UNKNOWNS = 6
-"""Of a camera whose interior is known: its place and its turn."""
+"""Number of unknowns of a camera whose interior is known: position and rotation."""
 
 UNKNOWNS_OF_PRINCIPAL = 2
-"""Of a principal point that nothing shows: points determine it wholly, unlike one that is known."""
+"""Number of unknowns of a principal point that nothing shows: the points alone determine it."""
 
 MIN_SEPARATION = 0.05
 """Part of its distance by which two places of a camera differ, if they are two."""

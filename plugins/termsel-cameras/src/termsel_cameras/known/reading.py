@@ -26,7 +26,7 @@ from termsel_cameras.known.interior import (
 log = logging.getLogger("termsel.cameras")
 
 DIAGONAL = float(np.hypot(36.0, 24.0))
-"""Of film of 36 mm by 24, to which equivalent focal lengths refer [mm]."""
+"""Diagonal of film of 36 mm by 24, to which equivalent focal lengths refer [mm]."""
 
 EXIF_POSITION_SPREAD, EXIF_HEIGHT_SPREAD = 30.0, 500.0
 """Standard deviations of a position in EXIF in plan and in height [m]. Heights of drones count from

@@ -77,9 +77,9 @@ class SharedCamera:
     sigma : float
         Root mean square of what its measurements leave, with robust weights [px].
     photos, points : int
-        How many told it.
+        How many photos and control points the figures rest on.
     residuals : tuple of float
-        Those of each photo that was given [px]; NaN of one that was left out.
+        The residuals of each photo that was given [px]; NaN for one that was left out.
     """
 
     focal: float

@@ -31,9 +31,9 @@ class Sensor:
     Parameters
     ----------
     altitude : float
-        Of the orbit above the equator [km].
+        Height of the orbit above the equator [km].
     inclination : float
-        Of the orbit [deg].
+        Inclination of the orbit to the equator [deg].
     pixel : float
         Distance of neighbouring lines and samples on the ground, straight down [m]; 0 where not
         known.

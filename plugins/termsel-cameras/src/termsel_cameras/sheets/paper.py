@@ -64,7 +64,7 @@ class Sheet:
     Parameters
     ----------
     values, variances : tuple of 4 floats
-        Of `PAPER_NAMES`; variances are those of a noise of 1 px.
+        The numbers of `PAPER_NAMES`, and their variances for a noise of 1 px.
     noise : float
         Standard deviation of what the affine map leaves of lines, or of samples [px].
     freedom : int

@@ -42,7 +42,7 @@ COLUMN = "sheet_paper"
 """Column of the points that says what other sheets of the series show."""
 
 UNKNOWNS = 6
-"""Of a sheet: the four of its paper, and its place."""
+"""Number of unknowns of a sheet: the four of its paper, and the two of its position."""
 
 TAILS = 4.0
 """Degrees of freedom of what an affine map leaves of points: few are wild, as those of photos."""

@@ -31,11 +31,11 @@ class Taken:
     Parameters
     ----------
     program : str
-        With its version.
+        Name of the program, with its version.
     transformation : str
         What it takes, in words.
     crs : str
-        Of the ground, a code or WKT; "" where the file states none.
+        CRS of the ground, a code or WKT; "" where the file states none.
     places : callable, optional
         From line and sample, shape (n, 2), and heights, shape (n,), to x and y, shape (n, 2).
         None where the program takes no transformation, so that no georeferencing.

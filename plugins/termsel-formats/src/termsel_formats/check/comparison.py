@@ -58,7 +58,7 @@ class Deviation:
     Parameters
     ----------
     program, transformation, crs : str
-        As of `Taken`.
+        What the program is called, and what it takes, as in `Taken`.
     by_default : bool
         Whether the program takes it without being told.
     at_points, over_image : Apart or None

@@ -29,7 +29,7 @@ class Header:
     Parameters
     ----------
     version : str
-        Of GDAL.
+        Version of GDAL.
     size : tuple of int
         Lines and samples.
     crs : str

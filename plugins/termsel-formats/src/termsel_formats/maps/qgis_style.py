@@ -14,7 +14,7 @@ from termsel.toolkit.charts import GROUND, ROLE_COLOURS, ROLE_SHAPES
 
 TABLE = "layer_styles"
 LAYER_OPTIONS = {"FID": "id"}
-"""Of the layer in GDAL: the name of its key."""
+"""Options of GDAL for the layer: the name of its key."""
 
 _ROLE = """CASE WHEN "role" IN ('control', 'off') AND NOT "used" THEN 'left out' ELSE "role" END"""
 

@@ -61,7 +61,7 @@ class Arrays:
     Parameters
     ----------
     bands : tuple of callable
-        Of longitude, latitude and perhaps height: each returns one of its lines.
+        Bands of longitude, latitude and perhaps height: each returns one of its lines.
     shape : tuple of int
         Lines and samples of the arrays.
     first, step : ndarray, shape (2,)

@@ -12,7 +12,7 @@ from termsel.toolkit import write_bytes
 from termsel_match.images.rasters import open_picture, stretch_to_bytes
 from termsel_match.judgement.selection import SelectedCandidates
 
-# In px, at most.
+# Longest side of the picture [px].
 _PICTURE_SIDE = 1200
 # Px of the picture: the arrow of a residual that nine in ten do not exceed.
 _ARROW = 40.0

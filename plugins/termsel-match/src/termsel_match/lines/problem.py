@@ -105,7 +105,7 @@ class MatchedLines(Problem):
     def evaluate(self, genes: Any) -> Evaluation:
         """Return the weighted mean disagreement of the pieces for genes (p, picked)."""
         distances = self._line_distances(self._fit_lines(np.asarray(genes, dtype=np.intp)))
-        # Of each piece only the nearest candidate counts.
+        # Only the nearest candidate of each piece counts, as the others are wrong bands.
         nearest = np.minimum.reduceat(distances[:, self._order], self._first, axis=1)
         disagreement = nearest**2 / (nearest**2 + self._half**2)
         return Evaluation((disagreement @ self._weight)[:, None], np.zeros(len(disagreement)))

@@ -121,9 +121,9 @@ class Matcher(Configurable, ABC):
         Parameters
         ----------
         first : Window
-            Of the image that is to be georeferenced.
+            Window of the image that is to be georeferenced.
         second : Window
-            Of the reference, resampled as the image shows it; larger by the search.
+            Window of the reference, resampled as the image shows it; larger by the search.
         search : float
             Largest distance of two places that match, in shared coordinates [px].
 

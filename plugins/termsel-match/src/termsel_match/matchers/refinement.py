@@ -16,17 +16,17 @@ from scipy.ndimage import map_coordinates, spline_filter
 from termsel_match.images.rasters import FloatArray, Grey, Mask
 from termsel_match.matchers import Matches
 
-# In px: windows that are compared have 21 px along either side.
+# Half the side of the windows that are compared [px]: 21 px with the middle.
 _HALF = 10
 # Steps of least squares for one match; those that take more have no clear optimum.
 _MAX_ITERATIONS = 15
-# In px.
+# Step below which a position has settled [px].
 _SETTLED_STEP = 1e-3
 # Px between the keypoints and the refined place.
 _MAX_REFINEMENT = 2.5
 # Correlation.
 LEAST_SCORE = 0.5
-# In px; models of noise are no better.
+# Least standard deviation of a match [px]; models of noise are no better.
 _MIN_MATCH_SIGMA = 0.05
 HELD = _HALF + 4
 """Px around a keypoint that must be known."""
@@ -57,7 +57,7 @@ def refine_matches(first: Layers, second: Layers, at_first: FloatArray, at_secon
     Parameters
     ----------
     first, second : Layers
-        Of the same scale and direction.
+        Layers of both windows, in the same scale and direction.
     at_first, at_second : ndarray, shape (n, 2)
         Line and sample of the keypoints [px].
     min_score : float

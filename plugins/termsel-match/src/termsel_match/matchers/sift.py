@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from termsel_match.images.rasters import FloatArray, Grey, Mask, stretch_to_bytes
 from termsel_match.matchers import Matcher, Matches, Window
 
-# Of the distances to the nearest and the second nearest descriptor.
+# Largest ratio of the distances to the nearest and the second nearest descriptor.
 RATIO = 0.9
 # Px for each keypoint, the strongest.
 _KEYPOINT_AREA = 60
@@ -100,7 +100,7 @@ def mutual_nearest(first: Grey, second: Grey, ratio: float = RATIO,
     """
     if len(first) < 2 or len(second) < 2:
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
-    # Of unit vectors: distance^2 = 2 - 2 likeness.
+    # For unit vectors, distance^2 = 2 - 2 likeness.
     likeness = first @ second.T
     at = likeness.argmax(axis=1)
     n = np.arange(len(first))
@@ -112,6 +112,6 @@ def mutual_nearest(first: Grey, second: Grey, ratio: float = RATIO,
     near, next_near = (np.sqrt(np.maximum(2 - 2 * value, 0)) for value in (best, second_best))
     relative = near / np.maximum(next_near, 1e-9)
     order = np.argsort(relative, kind="stable")
-    # And each must be the nearest of the other.
+    # Each must be the nearest of the other, too.
     order = order[(relative[order] < ratio) & (likeness.argmax(axis=0)[at[order]] == order)]
     return order, at[order]

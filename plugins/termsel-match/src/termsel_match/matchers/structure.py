@@ -25,9 +25,9 @@ from termsel_match.matchers.dense import (
 )
 from termsel_match.matchers.refinement import Layers, refine_matches
 
-# Of edges, over half a turn.
+# Number of directions of edges, over half a turn.
 _EDGE_DIRECTIONS = 6
-# In px: grey is smoothed before its gradient, and each layer after.
+# Blurs [px]: of the grey values before their gradient, and of each layer after.
 _GREY_BLUR, _LAYER_BLUR = 1.0, 1.5
 # Px from unknown pixels, whose edges are none of the ground.
 _UNKNOWN_EDGE = 5

@@ -174,7 +174,7 @@ def match_points(
             if n_found >= max(LEAST_CANDIDATES, count / _SMALL_PART) or looking.is_over:
                 break
             log.info("Note: the matcher %s finds %d candidates.", matcher_class.name, n_found)
-        # Of both matchers the one that finds more.
+        # The matcher that finds more is the one to take.
         points, crs, cells = max(attempts, key=lambda attempt: len(attempt[0]))
         size = picture.size
     if len(points) < LEAST_CANDIDATES:

@@ -16,11 +16,11 @@ Bytes = NDArray[np.uint8]
 PARCEL = 90.0
 # Part of the area that is different on the other day.
 CHANGED = 0.15
-# Of the texture [m].
+# Wavelengths of the texture [m].
 _WAVES = (2.0, 4.0, 8.0, 16.0, 40.0)
 # Part of the texture that is of one day alone.
 _OWN = 0.35
-# Of cells that are computed at once.
+# Rows of cells that are computed at once.
 _CELL_ROWS = 512
 # Fractional bits of the positions that are drawn.
 _FRACTION_BITS = 4
@@ -67,7 +67,7 @@ def simulate_scenery(rng: np.random.Generator, extent: float, cell: float,
     ----------
     rng : numpy.random.Generator
     extent, cell : float
-        Of the square and of a cell of its grid [m].
+        Side of the square, and of a cell of its grid [m].
     suns : tuple of ndarray, shape (2,)
         For either day the shadow of a metre of height: east and south [m].
     """

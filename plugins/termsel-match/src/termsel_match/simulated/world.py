@@ -26,7 +26,7 @@ _LON, _LAT = 14.2, 47.2
 _HEIGHT, _RELIEF = 520.0, 35.0
 # Houses [m].
 _TALLEST = 11.0
-# Of height, along a ray that may meet a house [m].
+# Step of height along a ray that may meet a house [m].
 _RAY_STEP = 0.6
 # Px between rays that are computed; those between are interpolated by splines.
 _RAY_MESH = 16
@@ -34,13 +34,13 @@ _RAY_MESH = 16
 _RENDERED_LINES = 200
 # Cells of the ground along a pixel.
 _CELLS_PER_PIXEL = 2
-# Of the ground beyond the image, on either side.
+# Ground beyond the image on either side, as a share of its extent.
 _MARGIN = 0.12
 # Metres between the heights that are interpolated.
 _TERRAIN = 4.0
 SPACING = 2 * _TERRAIN
 """Distance of the heights of the DEM [m]."""
-# Of the image, of 11 bits.
+# Standard deviation of the noise of the image, whose values have 11 bits.
 _NOISE = 10.0
 
 
@@ -61,7 +61,7 @@ class World:
     off : float
         Distance of the vendor's RPC from the truth in the middle of the image [px].
     off_nadir : float
-        Of the view [deg].
+        Angle of the view from the vertical [deg].
     jitter : float
         Amplitude of a fast motion of the attitude that the vendor does not know [px].
 

@@ -39,7 +39,7 @@ class Ransac(Method):
         Distance in the image up to which a point agrees [px].
     trials : int
     seed : int
-        Of the draws: one object gives the same fit again.
+        Seed of the draws: one object gives the same fit again.
     """
 
     name: str = "ransac"

@@ -81,7 +81,7 @@ class Quality:
     made : str
         When the report was made, such as 2024-05-31T10:20:30Z.
     crs : str
-        Of the ground coordinates.
+        CRS of the ground coordinates.
     bounds : tuple of float
         Of the image on the ground: longitudes of the west and east, latitudes of the south and
         north [degrees].

@@ -16,7 +16,7 @@ from termsel_standards.quality.iso import iso_xml
 from termsel_standards.quality.report import QUALITY_OPTIONS, Quality, quality_of
 
 QUALITY_SCHEMA = "termsel-quality-1"
-"""Of the report as JSON."""
+"""Name of the schema of the report as JSON."""
 
 
 class _Report(Writer):
