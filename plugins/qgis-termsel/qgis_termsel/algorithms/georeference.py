@@ -222,24 +222,31 @@ class Georeference(Algorithm):
         if rpc:
             (Path(new_folder) / INPUTS).write_text(json.dumps({"RPC": rpc}), encoding="utf-8")
         move_into_place(new_folder, target)
-        target = Path(target)
-        summary = (target / "summary.txt").read_text(encoding="utf-8")
+        return self._outputs_of_result(Path(target), record, context, feedback)
+
+    def _outputs_of_result(self, folder, record, context, feedback):
+        """Return the outputs for the result in a folder, and let QGIS load its layers.
+
+        `record` is the content of its result.json. Summary and notes are shown in the log, and the
+        summary becomes a page of the results viewer, too.
+        """
+        summary = (folder / "summary.txt").read_text(encoding="utf-8")
         feedback.pushInfo(summary)
         for note in record.get("notes", []):
             feedback.pushWarning(note)
-        page = target / "summary.html"
+        page = folder / "summary.html"
         # Writing to a link would overwrite the file that it leads to.
         page.unlink(missing_ok=True)
         page.write_text("<!doctype html><meta charset='utf-8'><pre>" + html.escape(summary)
                         + "</pre>", encoding="utf-8")
-        add_blunders(target, record, target / _RESIDUALS)
+        add_blunders(folder, record, folder / _RESIDUALS)
         layers = {"RESIDUALS": ("residuals", "Residuals"),
                   "VECTORS": ("vectors", "Residual vectors"), "WRONG": ("blunders", "Blunders")}
-        outputs = {"OUTPUT": str(target),
+        outputs = {"OUTPUT": str(folder),
                    "RMSE": ((record.get("rmse") or {}).get("independent") or {}).get("total"),
                    "BLUNDERS": ",".join(outlier["id"] for outlier in record.get("outliers", []))}
         for name, (layer, title) in layers.items():
-            outputs[name] = f"{target / _RESIDUALS}|layername={layer}"
+            outputs[name] = f"{folder / _RESIDUALS}|layername={layer}"
             details = QgsProcessingContext.LayerDetails(title, context.project(), name)
             # termsel wrote styles of its layers to the GeoPackage, where blunders have none.
             details.setPostProcessor(StyleOfBlunders() if name == "WRONG" else StyleOfFile())
