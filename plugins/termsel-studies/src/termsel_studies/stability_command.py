@@ -129,7 +129,8 @@ def _write_frequencies(repeated: Stability, folder: Path | None) -> None:
 def _print_frequencies(repeated: Stability) -> None:
     """Print the frequency of each term, how many are stable, and how well their model predicts.
 
-    Instead of the last: that the stable terms are no model, or nothing without independent points.
+    If the stable terms are no model, the last line says so; without independent points it is left
+    out.
     """
     # The most frequent first; terms that are alike stay in the order of the model.
     order = (-repeated.frequency).argsort(kind="stable")

@@ -147,16 +147,17 @@ def _blunder_line(record: BlockRecord) -> str:
 
 def _observations_of_features(record: BlockRecord) -> list[list[WrongControl | WrongTie]]:
     """Return rejected observations in their order, those of a tie that no image uses together."""
+    of_control: list[list[WrongControl | WrongTie]] = [[wrong] for wrong in record.wrong_control]
     of_ties: dict[tuple[str, str], list[WrongControl | WrongTie]] = {}
     for tie in record.wrong_ties:
         of_ties.setdefault((tie.id, "" if tie.any_ray else tie.image), []).append(tie)
-    return [*([control] for control in record.wrong_control), *of_ties.values()]
+    return [*of_control, *of_ties.values()]
 
 
 def _rejected_in_words(observations: Sequence[WrongControl | WrongTie]) -> str:
     """Return where an observation was rejected and how far off it is.
 
-    Of a tie that no image uses it is not known which image is wrong, and that one is off by more.
+    If no image uses a tie, it is not known which of them is wrong, and that one is off by more.
     """
     worst = observations[0]
     if not reason_of(worst):

@@ -74,11 +74,13 @@ def heading_of(inclination: float, latitude: float, *, ascending: bool) -> float
 
 def observe_targets(
         cameras: Cameras, target: FloatArray, origin: FloatArray, axes: FloatArray) -> FloatArray:
-    """Return the times [s] at which cameras see targets, and the slopes to port, (p, n, 2).
+    """Return when p cameras see n targets [s], and the slopes to port at which they do, (p, n, 2).
 
-    `target` (n, 3) and `origin` (3,), the place that is seen at the time 0, are Earth-fixed [m];
-    `axes` (3, 3) are east, north and up there. NaN where no time within `MAX_TIME` is found.
+    `target` (n, 3) are Earth-fixed positions [m]. `origin` (3,) is the position that all cameras
+    see at the time 0, and `axes` (3, 3) has east, north and up there as rows. NaN where no time
+    within `MAX_TIME` is found.
     """
+    # All vectors are in the axes east, north and up, counted from the centre of the Earth.
     centre = axes @ origin
     ground = target @ axes.T
     sine = np.sin(cameras.heading)
@@ -128,6 +130,7 @@ def observe_targets(
         first = observe_targets(cameras.first(), target, origin, axes)[0, :, 0]
         time += np.where(np.isfinite(first), first, 0.0)
     step = np.full_like(time, FIRST_STEP)
+    # The secant method finds the time at which the slope ahead is 0.
     with np.errstate(all="ignore"):
         slopes = view(time)
         for _ in range(SECANT_STEPS):

@@ -221,6 +221,7 @@ def _points_of_files(picture: GreyRaster, files: list[Path],
     missed: TermselError | None = None
     for i, file in enumerate(files):
         def progress(share: float, i: int = i) -> None:
+            """Report the share of all references that is done, from that of the present one."""
             if looking.progress is not None:
                 looking.progress((i + share) / len(files))
 

@@ -150,6 +150,7 @@ def match_ties(
     any_overlap = False
     for done, (i, j) in enumerate(all_pairs):
         def tell(share: float, done: int = done) -> None:
+            """Report the share of all pairs that is done, from that of the present pair."""
             if progress is not None:
                 progress((done + share) / len(all_pairs))
 
