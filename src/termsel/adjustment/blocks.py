@@ -203,6 +203,7 @@ def reduced_rows(blocks: FloatArray, triangle: FloatArray, features: BoolArray, 
     lower = np.empty((k, k))
     system = np.zeros((k, k + 2))
     triangle = np.ascontiguousarray(triangle)
+    # Neighbours for which blocks do not pay are given together, as a slice of the population.
     for equal_run in np.split(np.arange(len(features)), np.flatnonzero(np.diff(pays)) + 1):
         if equal_run.size and not pays[equal_run[0]]:
             yield slice(int(equal_run[0]), int(equal_run[-1]) + 1), None

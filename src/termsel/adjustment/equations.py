@@ -186,6 +186,7 @@ def _approximate_image(features: FeatureSet, heights: bool) -> FloatArray:
         np.concatenate([of_points, zeros], axis=1),
         np.concatenate([zeros, of_points], axis=1)])
     b = np.concatenate([rho, points.image[:, 0], points.image[:, 1]])
+    # Of terms that the features do not determine, the smallest solution is rough enough.
     x = np.linalg.lstsq(A, b, rcond=ROUGH_RANK)[0].reshape(2, -1)
     return np.asarray(of_vertices @ x.T)
 

@@ -55,6 +55,7 @@ def _fill_squares(design: FloatArray, image: FloatArray, sets: BoolArray, triang
     n, k = design.shape
     for number in range(len(sets)):
         used = sets[number]
+        # The lower triangle of the normal equations A'A of the points in the set.
         triangle[:] = 0.0
         for p in range(n):
             if used[p]:

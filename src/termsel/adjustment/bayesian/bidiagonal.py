@@ -254,6 +254,8 @@ def _add_evidence(diagonal: FloatArray, below: FloatArray, along: FloatArray,
         upper[:] = 0.0
         product[:] = 1.0
         solved[:] = 0.0
+        # Row i of Cholesky's R of I + s^2 B B', which is tridiagonal: its diagonal is `root`, and
+        # `upper` is the entry beside that of the row before.
         for i in range(m):
             for g in range(count):
                 along_diagonal = square * diagonal[i, g] * diagonal[i, g]
@@ -271,6 +273,7 @@ def _add_evidence(diagonal: FloatArray, below: FloatArray, along: FloatArray,
                 ratio = below[i, g] / root[g]
                 upper[g] = square * diagonal[i, g] * ratio
                 rest[g] = 1.0 + rest[g] * square * ratio * ratio
+            # One logarithm for several rows: their product does not overflow yet.
             if (i + 1) % ROWS_PER_LOG == 0 or i + 1 == m:
                 for g in range(count):
                     logs[size, g] -= 0.5 * np.log(product[g])

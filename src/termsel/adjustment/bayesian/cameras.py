@@ -356,12 +356,14 @@ def _turned_vector(x: float, y: float, z: float, axis: FloatArray,
     """
     a, b, d = axis[0], axis[1], axis[2]
     square = angle * angle
+    # Horner's scheme of sin x = x - x^3 / 3! + ... and 1 - cos x = x^2 / 2! - x^4 / 4! + ...
     sine = angle * (1.0 - square / 6 * (1.0 - square / 20 * (1.0 - square / 42 * (
         1.0 - square / 72 * (1.0 - square / 110 * (1.0 - square / 156 * (1.0 - square / 210)))))))
     one_less_cosine = square / 2 * (1.0 - square / 12 * (1.0 - square / 30 * (
         1.0 - square / 56 * (1.0 - square / 90 * (1.0 - square / 132 * (
             1.0 - square / 182 * (1.0 - square / 240)))))))
     one_less_cosine = 1.0 - (1.0 - one_less_cosine)  # rounded as a cosine is
+    # (u, v, w) is the cross product of the axis and the vector.
     u = fused(z, b, -(d * y))
     v = fused(z, -a, d * x)
     w = fused(y, a, -(b * x))
@@ -395,6 +397,7 @@ def _fill_scanner_views(flights: _Flights, places: FloatArray, time: FloatArray,
         for m in range(time.shape[1]):
             t = time[c, m]
             x, y, z = _line_of_sight(flights, c, places, m, t)
+            # Image coordinates are components across the ray, divided by the one along it.
             ahead = axes[c, 0, 2] * x + axes[c, 1, 2] * y + axes[c, 2, 2] * z
             line = (axes[c, 0, 0] * x + axes[c, 1, 0] * y + axes[c, 2, 0] * z) / ahead
             sample = (axes[c, 0, 1] * x + axes[c, 1, 1] * y + axes[c, 2, 1] * z) / ahead

@@ -127,6 +127,7 @@ class LinePosterior:
                 redundancy = group.redundancy if selected.all() else group.redundancy[..., selected]
                 held_out, share, other_squares, quadratic = (
                     self._held_out_errors_and_weights(redundancy, rows))
+                # A feature in use is predicted without its rows, which count no more as redundancy.
                 if in_use:
                     freedom = self.freedom - rows.shape[1]
                     variance = other_squares / freedom
@@ -142,6 +143,7 @@ class LinePosterior:
                     freedom = self.freedom
                     variance = self.square[:, None] / freedom
                     widest = _extreme_eigenvalue(covariance)
+                # F of the errors: their weighted square by their number, over the variance.
                 statistic = quadratic / rows.shape[1] / variance
                 errors[rows] = np.einsum("cf,crf->fr", np.broadcast_to(
                     share, statistic.shape), held_out)

@@ -267,6 +267,7 @@ class SharedShrinkage:
         redundancies = self.all_redundancies
         assert redundancies is not None
         n_own = design.n_own
+        # In the directions of the decomposition W is diagonal: W y, less what C explains of it.
         projections = self._directions @ target
         mixed = projections @ self._correction                                           # (f, u)
         shrunken_projections = (self._shrink * projections[:, None] - np.einsum(
@@ -295,6 +296,7 @@ def _factor_own_columns(columns: FloatArray, scales: FloatArray, shrink: FloatAr
     """
     f, m = columns.shape
     lanes = scales.shape[1]
+    # Row i of C'W first, then Cholesky's row i of I + C'W C.
     for i in range(f):
         for j in range(m):
             for u in range(lanes):

@@ -248,6 +248,7 @@ def _basis_of_knots(q: FloatArray, positions: FloatArray, weights: FloatArray,
         rows = field_columns(positions[batch]) * weights[batch, None] - q[batch] @ affine
         products += rows.T @ rows
     values, vectors = np.linalg.eigh(products)
+    # The others are rounding, and would be divided by nearly 0.
     large = values > EIGENVALUE_JITTER * values.max()
     to_eigenvectors = vectors[:, large] / np.sqrt(values[large])
 

@@ -250,6 +250,7 @@ class ScoreSystems:
             return node
         if self.kind == RSS:
             return replace(node, lower_bound=max(node.lower_bound, self._rss_bound(node, best)))
+        # Columns in use that depend on each other are part of every subset, which has no score.
         prepared = self._vectors_of_node(node)
         if prepared is None:
             return replace(node, lower_bound=incumbent)

@@ -98,6 +98,7 @@ def _scores_after_changes(systems: ScoreSystems, used: IntArray, members: IntArr
     dual = Q @ inverse.T[:, :len(members)]
     dual_lengths = np.linalg.norm(dual, axis=0)
     dual /= dual_lengths
+    # The letters are those of the docstring; row 0 of `u_b` and `u_a` stands for no member dropped.
     t = target - Q @ (Q.T @ target)
     v = columns - Q @ (Q.T @ columns)
     u_b = np.vstack([np.zeros(target.shape[1]), dual.T @ target])

@@ -134,6 +134,7 @@ class KFold(_LeftOut):
         xy = np.concatenate([points.ground[:, :2],
                              lines.by_feature(lines.ground[:, :, :2].mean(axis=1))])
         rng = np.random.default_rng(self.options["fold_seed"])
+        # Groups of twins are divided, each at the place of its first member.
         groups = _groups_of_twins(points, lines)
         xy = xy[[group[0] for group in groups]]
         repeats = self.options["repeats"]

@@ -74,6 +74,7 @@ def forced_labels(value: str | None, labels: tuple[str, ...], ids: tuple[str, ..
     """
     forced: list[str] = []
     for name in split_names(value):
+        # A name without an axis, or a column such as X alone, stands for all genes that have it.
         matches = [label for label, term in zip(labels, map(Term.parse, labels), strict=True)
                    if name in (label, str(term.shared), term.column)]
         matches += [feature_id for feature_id in ids if feature_id == name]

@@ -261,6 +261,7 @@ def digest_of_data(control: FeatureSet, check: Points) -> str:
     digest = blake2b(digest_size=12)
     points = control.points
     lines = control.lines
+    # A NUL ends each text, and an empty one each list, so that none runs into the next.
     for text in (control.crs, control.fit_crs or "", *points.ids, "", *lines.ids, "", *check.ids):
         digest.update(f"{text}\0".encode())
     for values in (points.image, points.ground, points.sigma, lines.image, lines.ground,
@@ -268,6 +269,7 @@ def digest_of_data(control: FeatureSet, check: Points) -> str:
         if values is None:
             digest.update(b"none")
             continue
+        # Adding 0 turns -0 into 0, which is another number by its bytes.
         known = np.nan_to_num(values, nan=_UNKNOWN)
         digest.update(np.ascontiguousarray(round_to_nine_digits(known) + 0.0, "<f8").tobytes())
     return b64encode(digest.digest()).decode()

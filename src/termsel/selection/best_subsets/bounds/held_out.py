@@ -60,6 +60,7 @@ def held_out_score(kind: int, vectors: Vectors, depth: int, c: int, limits: Limi
     r = vectors.share.shape[3]
     total = limits.offset
     without_error = 0
+    # Folds have the remainders of their held-out rows in `extra`, one system for each fold.
     if kind != PRESS:
         for f in range(vectors.share.shape[1]):
             for j in range(r):

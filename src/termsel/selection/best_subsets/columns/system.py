@@ -90,6 +90,7 @@ class SubsetSystem:
         if k > MAX_COLUMNS:
             raise TermselError(f"subsets of {k} terms cannot be enumerated",
                                hint=f"Allow at most {MAX_COLUMNS}, or search with a heuristic.")
+        # Rows of m control equations, c check equations and g guard points; k columns, r targets.
         for name, shape in (
             ("target", (m, r)), ("check_design", (c, k)), ("check_target", (c, r)),
             ("denominator", (m, k)), ("check_denominator", (c, k)),

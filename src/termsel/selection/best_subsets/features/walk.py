@@ -252,6 +252,7 @@ class Selections:
             state.normal[0, p, :k, :k] = A.T @ A
             state.right[0, p, :k] = A.T @ b
             state.equations[0, p] = system.of_features + len(b) - len(system.always[1])
+        # Of space for one step nothing is kept for the next depth.
         of_part = (n_systems, width, width)
         of_feature = (most_rows, height)
         space = EntrySpace(factor=np.empty(of_part), inverse=np.empty(of_part),

@@ -98,6 +98,7 @@ class Regression:
         """
         selection = selection.copy()
         while selection.sum() > self.least:
+            # Columns have one length, so that the smallest coefficient is of the weakest column.
             x = np.linalg.lstsq(self.unit[:, selection], self.target)[0]
             weakness = np.full(len(selection), np.inf)
             weakness[selection] = np.linalg.norm(x, axis=1)
