@@ -161,7 +161,8 @@ def _answer_on_accuracy(record: Record) -> Iterator[Block]:
 def _scope_of_choice(accuracy: Accuracy) -> str:
     """Return how "which took no part in any choice" goes on, if check points were shown before.
 
-    Such as " of this run (3 of them already assessed the fit in A)"; "" if they were not.
+    It may be " of this run (3 of them already assessed the fit in A)". It is "" if no point was
+    shown before.
     """
     if not accuracy.spent_by:
         return ""

@@ -765,7 +765,8 @@ def _caution_on_known_camera(record: Record) -> str:
 def options_of_next_run(record: Record) -> dict[str, str]:
     """Return the options, with their values, that would correct what is wrong with this run.
 
-    Empty where nothing is wrong, or no option would correct it: the next step is another then.
+    There are none where nothing is wrong, or no option would correct it: the next step is another
+    one then.
     """
     read = record.data.read
     # Wrong coordinates come first: points may look like blunders for no other reason.

@@ -14,7 +14,8 @@ _TIE = 1e-9  # criteria that differ relatively by less are equal
 
 
 def proven_in_words(row: SizeRow) -> str:
-    """Return how far the best selection of a size is proven, in words."""
+    """Return in words whether the best selection of a size is proven, or by how much it may be off.
+    """
     if row.optimal:
         return "proven"
     if row.gap is None:

@@ -233,6 +233,8 @@ class View:
             coordinates = [line, sample]
             for residual in member_residuals:
                 coordinates += [residual.line, residual.sample]
+            # A chart cannot draw what is not finite. Residuals are whole multiples of `unit`, as
+            # there are many of them.
             if np.isfinite(coordinates).all():
                 rows.append({**self._row_of(r), "line": _shorten_number(line),
                              "sample": _shorten_number(sample),

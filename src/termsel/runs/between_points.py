@@ -93,6 +93,7 @@ def checked_next_to_control(control: FeatureSet, independent: Points) -> Iterato
     if plan is None or len(plan) == len(ground) + count:
         return
     of_control, of_area, of_check = np.split(plan, [len(ground), len(plan) - count])
+    # How far a place within the hull usually is from the nearest control point.
     usual = float(np.median(nearest_points(of_control, of_area)[0]))
     distances = nearest_points(of_control, of_check)[0]
     near = int((distances <= NEXT_TO_CONTROL * usual).sum())

@@ -109,7 +109,7 @@ class _Watch:
             genes=np.zeros(0, dtype=bool), what=activity))
 
     def method(self, fitted: Fit | None) -> None:
-        """Count a method that was tried, and show."""
+        """Count a method that was tried, None for one without a fit, and tell the observers."""
         fold = self.count // self.methods
         self.count += 1
         if fitted and not fold:
@@ -287,9 +287,11 @@ class _Assessed:
 
     def notes(self, interrupted: str, on_independent: Iterable[str],
               on_terms: str = "") -> tuple[str, ...]:
-        """Return the notes in the order in which a reader acts on them.
+        """Return the notes for the reader of the result, in the order in which he acts on them.
 
-            *filter(None, [doubt, on_terms, self.note_on_projection]),
+        `interrupted` is the note on a run that was interrupted, "" for others; `on_independent` are
+        those on independent points that contradict the fit, and `on_terms` says that a degree was
+        lowered, "" if it was not.
         """
         clean = self.clean
         fitted = self.fitted
@@ -343,10 +345,10 @@ NO_SEARCH = {"feasible": True, "lookups": 0, "hit_rate": 0.0, "generations": 0, 
 def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chosen:
     """Return the choice from control and check without blunders, and its repetition in folds.
 
-    In this order: enough features, the choice by their held-out errors, a view where the points
-    determine nothing else, lines selected by OWDIS, and the whole choice repeated without each
-    fold, whose errors are those of the procedure, not of the winner alone. An interrupted choice is
-    the best method so far. Raises TermselError where no method is determined.
+    The steps are these: whether there are enough features; the choice by their held-out errors; a
+    view, where the points determine nothing else; lines selected by OWDIS; and the whole choice
+    repeated without each fold, whose errors are those of the procedure, not of the winner alone. An
+    interrupted choice is the best method so far. Raises TermselError where no method is determined.
     """
     data = clean.pool
     features = data.features

@@ -382,7 +382,7 @@ def _note_on_one_line(features: FeatureSet) -> Iterator[str]:
 
 
 def _is_narrow(positions: FloatArray) -> bool:
-    """Return whether three or more places lie on a line, and not all at one place."""
+    """Return whether three or more places (n, 2) lie on a line, and not all at one place."""
     # Two points are always on a line, which says nothing.
     if len(positions) <= 2:
         return False

@@ -121,6 +121,7 @@ def doubt_of_fitted_rpc(observations: Observations) -> str:
             continue
         image = rpc.project(to_wgs84(features.crs)(points.ground))
         errors = points.image - image
+        # The two corrections that programs adjust an RPC by.
         shift = np.ones((len(image), 1))
         affine = np.column_stack([shift, image - image.mean(axis=0)])
         rmse = float(np.sqrt((errors**2).sum(axis=1).mean()))

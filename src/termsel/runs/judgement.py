@@ -218,7 +218,11 @@ def _px_text(value: float) -> str:
 
 
 def _compare(start: str, rmse: float, reference: float, title: str, *, determined: bool) -> str:
-    """Return a sentence on one RMSE against another."""
+    """Return a sentence that compares an RMSE with that of a reference [px], whose name is `title`.
+
+    It begins with `start`, such as the subject of the sentence. `determined` says whether the
+    reference's terms are determined; if not, the sentence says so.
+    """
     figures = f"({_px_text(rmse)} against {_px_text(reference)}"
     figures += ")" if determined else ", which is rank-deficient)"
     ratio = _error_ratio(reference, rmse)

@@ -77,6 +77,7 @@ def with_map_projection(observations: Observations, auto: Auto) -> tuple[Observa
     plan = _plan(features)
     bend = _nonlinearity(plan, features.points.image, angles_of)
     choice = None
+    # Few points cannot tell by their errors: what anybody would see decides.
     if len(features.points) < FEW:
         least_bend = PERCEPTIBLE
     else:
@@ -97,6 +98,7 @@ def with_map_projection(observations: Observations, auto: Auto) -> tuple[Observa
     if choice is None:
         in_azimuthal = observations.fitted_in(azimuthal)
         return in_azimuthal, _note(in_azimuthal, bent)
+    # A projection must be clearly better than the coordinates as they are.
     error_as_given = _typical_error(choice)
     best, best_error = None, error_as_given / CLEARLY
     for crs in (azimuthal, mercator_crs(features.crs, lon)):
@@ -204,7 +206,10 @@ def _affine_columns(plan: FloatArray) -> FloatArray:
 
 
 def _held_out_error_in(projected: Observations, auto: Auto) -> float:
-    """Return the error of held-out points [px] in a CRS of the fit; infinite where none is chosen.
+    """Return the typical error of held-out points [px] where models are fitted in a projection.
+
+    `projected` are the observations with that projection as the CRS of their fit. The error is
+    infinite where no model can be chosen.
     """
     try:
         choice = auto.choose(projected.pool)

@@ -127,6 +127,7 @@ def second_solver(recipe: Recipe, settings: Mapping[str, Any]) -> Any:
                 "second of two steps, and steps=joint has one",
                 hint="Add --set steps=features-first or steps=terms-first.")
         return None
+    # None where the second step has the solver of the first.
     solver = defaults["then"] if stated is None else stated
     if second_solver_keys and solver is None:
         raise TermselError(f"{second_solver_keys[0]} is for the solver of the second step, and "

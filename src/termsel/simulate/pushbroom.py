@@ -309,7 +309,11 @@ class Pushbroom:
 
 
 def _attitude(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
-    """Return Rx(roll) Ry(pitch) Rz(yaw), shape (n, 3, 3)."""
+    """Return the rotation Rx(roll) Ry(pitch) Rz(yaw) of a camera at n times, shape (n, 3, 3).
+
+    The angles (n,) are in radians.
+    """
+    # c and s are cosine and sine, followed by the initial of the angle.
     cr = np.cos(roll)
     sr = np.sin(roll)
     cp = np.cos(pitch)

@@ -117,6 +117,7 @@ def simulate_scene(
     if min(roles) < 0 or not 0 <= noise < float("inf"):
         raise TermselError(f"{sum(roles)} points with a noise of {noise} px cannot be simulated",
                            hint="Give a number of points and a noise of at least 0.")
+    # Streams of their own: with other noise the places stay, and with other lines the points.
     wrong_rng, noise_rng = _random_streams(scene, seed)[2:]
     points, lines = _noise_free_features(name, seed, tuple(roles), n_lines)
     image = _displace_lines(lines.image, wrong_rng, wrong)

@@ -60,12 +60,16 @@ def sheet_and_points(sheet: int) -> tuple[np.ndarray, FloatArray, FloatArray]:
     Returns
     -------
     pixels : ndarray of uint8, shape (lines, samples)
-    ground, image : ndarray, shape (15, 2)
-        Easting and northing [m], line and sample [px].
+        The scan, in grey.
+    ground : ndarray, shape (15, 2)
+        Easting and northing of the points [m].
+    image : ndarray, shape (15, 2)
+        Line and sample of the points on the scan [px].
     """
     lines, samples = np.mgrid[:SHEET_SIZE[0], :SHEET_SIZE[1]]
     pixels = np.column_stack([lines.ravel(), samples.ravel()]).astype(float)
     west, north = _sheet_corner(sheet)
+    # Metres from the upper left corner of the map, to the right and downwards.
     right, down = ((_map_positions(sheet, pixels) - (west, north)) * (1.0, -1.0)).T
     inside = (right >= 0) & (right <= FRAME[0]) & (down >= 0) & (down <= FRAME[1])
     fields = (np.floor(right / GRID_SPACING) + np.floor(down / GRID_SPACING)) % 2

@@ -104,6 +104,7 @@ def _extreme_selections(points: int = 14, lines: int = 0) -> list[PopulationSele
 
     recorder = Objective("recorder", "Records.", record)
     inputs = ProblemData(model, control, check, 1000.0, CheckRmse(), {}, objectives=(recorder,))
+    # Selections of terms, then of features: nothing, everything, and six at random.
     for terms in (True, False):
         problem = SelectionProblem(inputs, terms=terms, features=not terms)
         size = problem.genome.size

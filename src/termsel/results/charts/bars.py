@@ -219,7 +219,7 @@ def candidate_bars(view: View) -> Any:
 def fit_rows(view: View) -> list[Row]:
     """Return the RMSE of selection and independent check points of this result and all other fits.
 
-    A row for each fit and role with its 90 % interval; none where no interval is known.
+    There is a row, with its 90 % interval, for each fit and role of which an interval is known.
     """
     rows = []
     for name, fitted, _, rmse in fits_of(view.record):

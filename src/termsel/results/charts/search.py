@@ -75,7 +75,7 @@ def member_residuals(view: View, image: str = "") -> Any:
 def front_rows(view: View) -> list[Row]:
     """Return the RMSE of selection and independent check points of each member of the front.
 
-    A row for each member and role; none where the RMSE is not known.
+    There is a row for each member and role of which the RMSE is known.
     """
     recommended = _recommended_row(view)
     rows: list[Row] = []
@@ -105,8 +105,8 @@ def convergence_chart(view: View) -> Any:
     """Return a chart of the population's best and median, and of its infeasible share.
 
     Values have a logarithmic scale where they span powers of ten. The grey area is the share of the
-    population that breaks a condition, on a scale of its own; steps, as nothing is known between
-    generations.
+    population that breaks a condition, on a scale of its own. It is drawn in steps, as nothing is
+    known between generations.
     """
     alt = require_altair()
     history = evenly_spaced(view.record.history, MAX_GENERATIONS_SHOWN)

@@ -167,6 +167,7 @@ def _note_on_mirrored(
     usual_count = len(is_mirrored_image) - len(odd)
     if not odd:
         return []
+    # Without a clear majority nobody can say which of both is wrong.
     if usual_count < 2 or usual_count < MAJORITY_SHARE * len(is_mirrored_image):
         return [_sentence_on_some_mirrored(is_mirrored_image)]
     if are_most_mirrored:

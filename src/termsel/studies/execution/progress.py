@@ -94,7 +94,11 @@ class Tally:
             self._clock = _Clock(monotonic())
 
     def _count(self, record: CellRecord, *, loads: bool) -> None:
-        """Count a record: of a cell that `loads`, little but its state, unless it took long."""
+        """Count the record of a cell that has ended: its state, its time and its accuracy.
+
+        The time of a cell that `loads` what its process needs says little of others, and counts
+        only if it is long.
+        """
         labels = self.cells[record.cell]
         figures = record.figures
         kind = kind_of(labels)
