@@ -101,6 +101,7 @@ def fit_of(estimator: Estimator, model: Polynomial, control: FeatureSet, scaling
     """
     coefficients = average_of_all.coefficients.T.ravel()
     scaled = scaling.features(control)
+    # Equations of lines need the whole system; points alone are faster by their monomials.
     if len(scaled.lines):
         equations = model.equations(scaled)
         v = (equations.b - equations.A @ coefficients)[used[equations.feature]]

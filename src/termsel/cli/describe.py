@@ -89,6 +89,7 @@ def _unknown_name_error(name: str, summaries: Mapping[str, str], hint: str) -> T
 
     error = unknown_name_error("name", name, summaries, hint, summaries)
     if "Did you mean" not in str(error):
+        # A word such as "solver" names a kind of thing, of which a list can be shown.
         words = {word: kind for kind in KINDS for word in (kind, KINDS[kind].word)}
         near = likely_names(name, list(words))
         kind = words[near[0]] if near else "models"

@@ -62,6 +62,7 @@ def _is_study(folder: Path) -> bool:
     from termsel.io.result_folder import files_of_result, results_within
     from termsel.studies.cells.folder import PLAN
 
+    # The plan of a study is in its folder, whatever else is.
     if (folder / PLAN).is_file():
         return True
     if any(map(is_there, files_of_result(folder))):

@@ -295,6 +295,7 @@ def _bad_value(error: click.BadParameter, param: click.Parameter) -> str:
         if name == "KIND" and typed_word and typed_word[1].rstrip("s") == "plugin":
             return "Plugins are no kind of thing that they provide. termsel plugins lists them."
         return f"{name} is {word}, expected {listed} or {choices[-1]}.{question}"
+    # Files come last: their messages begin with the word for what they should be.
     lost = _LOST.match(message)
     if lost:
         return f"{name} is {lost[1]!r}, which does not exist. Check the name and the folder."

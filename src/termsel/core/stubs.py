@@ -20,6 +20,7 @@ def lazily(file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], li
     file : str
         The module's ``__file__``. Its stub imports every name from where it is defined.
     """
+    # Type checkers and this function read the same stub, so that a name has one place.
     names: dict[str, list[str]] = {}
     for node in ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8")).body:
         if isinstance(node, ast.ImportFrom):

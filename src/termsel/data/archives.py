@@ -93,6 +93,7 @@ def _tiffs_in_zip(archive: Path) -> list[Path]:
     if len(names) > MAX_ARCHIVE_FILES:
         raise TermselError(f"this zip has {len(names):,} files", file=archive,
                            hint="Name the raster in it: FILE.zip/PLACE.tif.")
+    # A name that leads out of the zip is not followed.
     places = map(PurePosixPath, names)
     rasters = (place for place in places if place.suffix.lower() in SUFFIXES
                and ".." not in place.parts and not place.is_absolute())

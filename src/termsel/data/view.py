@@ -291,12 +291,15 @@ def _may_be_clearly_better(columns: FloatArray, image: FloatArray, affine_sigma:
     # Too few points, or points on a line, determine no projection.
     if freedom <= 0 or not extents.all():
         return False
+    # The letters are those of the docstring: `least` is S, `centre` |e0|_1 and the rest of `gram`
+    # B.
     terms = np.concatenate([columns[:, :1], centred_columns / extents], axis=1)
     products = (image[:, :, None] * terms[:, None]).reshape(n, -1)
     q = np.linalg.qr(columns)[0]
     remainders = (products - q @ (q.T @ products)).reshape(-1, size)
     gram = remainders.T @ remainders
     values, vectors = np.linalg.eigh(gram[1:, 1:])
+    # A singular B bounds nothing.
     if values[0] <= _DETERMINED * values[-1]:
         return True
     along = vectors.T @ gram[1:, 0]

@@ -200,6 +200,7 @@ class Control:
         affine = monomials[:, :AFFINE_COLUMNS]
         if np.linalg.matrix_rank(affine) < AFFINE_COLUMNS:
             return None
+        # The position of a point is where the affine map sees it: fields are over positions.
         to_image = np.asarray(np.linalg.lstsq(affine, points.image)[0])
         positions = affine @ to_image
         deviations = points.image - positions

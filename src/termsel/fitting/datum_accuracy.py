@@ -30,6 +30,7 @@ def say_stand_in(fitted: Fit, target: str) -> None:
     pixel = pixel_on_ground(fitted)
     fits = ""
     if rmse and pixel:
+        # What the grid would gain is below what the control can show.
         on_ground = rmse.total * pixel
         if stand_in.accuracy <= on_ground:
             return

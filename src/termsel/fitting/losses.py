@@ -44,6 +44,7 @@ def rmse_like_figure(distances: FloatArray, weights: FloatArray, loss: str = SQU
             middle = _row_medians(d, used)
             if loss == MEDIAN:
                 return np.where(counted, RMSE_BY_MEDIAN * middle, np.inf)
+            # Huber's loss: squares of small distances, and beyond c straight lines that go on.
             c = threshold * middle[:, None]
             losses = np.where(d <= c, d**2, 2 * c * d - c**2)
         total = np.where(used, weights, 0.0).sum(axis=1)

@@ -321,6 +321,7 @@ class Measured:
         damping = np.full(len(cameras), _FIRST_DAMPING)
         for _ in range(steps):
             design, residuals = self.system(cameras, rows, sigma)
+            # A camera with points behind it has no residuals, and makes no step.
             finite = np.asarray(np.isfinite(residuals).all(axis=1))
             design = np.where(finite[:, None, None], design, 0.0)
             residuals = np.where(finite[:, None], residuals, 0.0)
@@ -492,6 +493,7 @@ def _camera_points(scaled: FeatureSet, scaling: Scaling) -> Measured | None:
     unit = metres / metres[:2].max()
     weights = weights_of(points)
     size = scaled.image_size
+    # Scaled control has its middle at 0 and reaches to 1: that stands for an unknown image.
     if size is None:
         middle = np.zeros(2)
         half = 1.0
@@ -557,6 +559,7 @@ def _grid_of_rotations(*, mirrored: bool) -> FloatArray:
     for azimuth in _AZIMUTHS:
         for depression in _DEPRESSIONS:
             ahead = np.array([np.sin(azimuth), np.cos(azimuth), 0.0])
+            # Axes of a camera whose sample axis is level; a roll then turns it about its view.
             view = np.cos(depression) * ahead - np.sin(depression) * np.array([0.0, 0.0, 1.0])
             right = np.array([np.cos(azimuth), -np.sin(azimuth), 0.0])
             down = np.cross(view, right)

@@ -23,7 +23,7 @@ def stated_crs(stated: str | None) -> str | None:
     """Return the normal form of a CRS that a user states, by name or by the file that has it.
 
     Returns None if `stated` is None. Raises TermselError where it is neither a CRS nor a file with
-    one. Not for a CRS within a file, which must never name another file.
+    one. It must not be asked about a CRS within a file, which must never name another file.
     """
     if stated is None:
         return None

@@ -150,6 +150,7 @@ def say_nearest_transformation(name: str, fitted: Fit, xy: FloatArray, image: Fl
         # A place without a position is infinitely far from the model.
         distances = np.nan_to_num(np.hypot(*(computed - exact).T), nan=np.inf)
         worst[key] = float(distances.max())
+    # The simplest transformation that is as near as any: labels are in that order.
     nearest = next(key for key in labels
                    if worst.get(key, np.inf) <= min(worst.values()) + _ALIKE_PX)
     ignored = ", and ignores heights" if fitted.model.uses_height else ""

@@ -161,6 +161,7 @@ class Dem:
         lines, samples = (last - first).tolist()
         if min(lines, samples) < 1:
             return np.nan
+        # GDAL reads a large box at a lower resolution, from overviews where there are any.
         heights = self.raster.read(
             1, window=Window(int(first[1]), int(first[0]), samples, lines), masked=True,
             out_shape=(min(lines, _SAMPLED), min(samples, _SAMPLED))).astype(np.float64)
@@ -276,8 +277,8 @@ def _interpolate_bilinear(pixels: FloatArray, first: Any, share: FloatArray) -> 
 def looks_like_heights(path: Path) -> bool:
     """Return whether a raster looks like a DEM: one georeferenced band of int16, int32 or floats.
 
-    An image that is to be georeferenced has no place on the ground yet, or an RPC or points. False
-    for a file that is no raster.
+    An image that is to be georeferenced has no place on the ground yet, or an RPC or points.
+    Returns False for a file that is no raster.
     """
     try:
         with open_raster(path) as raster:
@@ -474,7 +475,8 @@ def pixels_of(difference: DemDifference, features: FeatureSet, project: Projecti
 def pixels_by(above: float, features: FeatureSet, project: Projection) -> float:
     """Return how far places of control move in the image if they are higher by `above` [px].
 
-    The median; 0 where no place is known. `above` is in the unit of the heights.
+    It is the median over all places, 0 where no place is known. `above` is in the unit of the
+    heights.
     """
     ground = features.ground_vertices()
     ground = ground[np.isfinite(ground).all(axis=1)]
@@ -588,6 +590,7 @@ def _far_height_note(features: FeatureSet, project: Projection,
     unit = height_unit(features.crs)
     lowest, highest = float(heights.min()), float(heights.max())
     distance = max(lowest - height, height - highest)
+    # A height within the relief beyond the control is likely; one farther away is a mistake.
     if distance <= highest - lowest:
         return None
     above = height - (highest if height > highest else lowest)
@@ -633,6 +636,7 @@ def with_heights(features: FeatureSet, dem: Path,
         difference = difference_of(features, surface)
         ground[unknown, 2] = surface(ground[unknown, :2])
         datum = surface.datum
+        # The ids of the features that the vertices belong to: lines have two each.
         owner = features.points.ids + tuple(np.repeat(features.lines.ids, 2))
         still_unknown = np.isnan(ground[:, 2]) & ~np.isin(owner, list(left_out))
         is_outside = ~surface.covers(ground[still_unknown, :2])

@@ -59,6 +59,7 @@ def average_repeated(ids: Sequence[str], image: FloatArray, ground: FloatArray,
     means = np.array(image)
     deviations = None if sigma is None else np.array(sigma)
     repeated = []
+    # Each place: the rows that take no part stay by themselves, and the others become one.
     for rows in repeated_places(ground, with_single=True):
         used = [row for row in rows if not is_off[row]]
         first_rows += [row for row in rows if is_off[row]]

@@ -48,7 +48,8 @@ _UNKNOWN_VALUES = ("none", "null", "~", "")
 def rpcs_of_tree(tree: object) -> dict[str, Items]:
     """Return the items of each RPC in nested dictionaries, by the name of its image or band.
 
-    The name is that of the nearest key above it; all keys where several have one name.
+    The name is that of the nearest key above it; where several RPCs would have one name, theirs are
+    all keys that lead to them.
     """
     rpcs: dict[str, Items] = {}
     for path, values in _find_dictionaries(tree, ()):
@@ -104,7 +105,7 @@ def tree_of_json(text: str) -> object:
 def tree_of_yaml(text: str) -> dict[str, Any]:
     """Return dictionaries of the YAML that Orthority writes: blocks of keys, and lists.
 
-    Lists are in brackets, or have an item a line after a dash. {} for a text of another kind.
+    Lists are in brackets, or have an item a line after a dash. A text of another kind gives {}.
     """
     tree: dict[str, Any] = {}
     levels: list[tuple[int, dict[str, Any]]] = [(-1, tree)]

@@ -108,7 +108,7 @@ def with_declared_datum(raster: Any, crs: CRS, path: Path) -> CRS:
 def _require_database(path: Path) -> None:
     """Raise TermselError for a raster where GDAL cannot read PROJ's database.
 
-    It then drops the vertical part of the raster's CRS without an error.
+    GDAL then drops the vertical part of the raster's CRS without an error.
     """
     from rasterio.crs import CRS as RasterCRS
     from rasterio.errors import CRSError

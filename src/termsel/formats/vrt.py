@@ -141,6 +141,7 @@ def _description_xml(band: Band) -> list[str]:
     """Return the elements of XML that describe a band, without those that have GDAL's default."""
     elements = {"Description": band.description, "UnitType": band.unit}
     lines = [f"<{name}>{xml_text(value)}</{name}>" for name, value in elements.items() if value]
+    # repr has all digits of a number, so that the value for "no data" is met exactly.
     if band.nodata is not None:
         lines.append(f"<NoDataValue>{band.nodata!r}</NoDataValue>")
     if (band.scale, band.offset) != (1.0, 0.0):

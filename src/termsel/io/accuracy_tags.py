@@ -64,8 +64,8 @@ class Prediction:
 def prediction_of(result: Result) -> Prediction | None:
     """Return the accuracy that a result predicts; None where it predicts none.
 
-    None also where the points were computed, or are the lattice of a product: they do not show how
-    well anybody measures in the image.
+    Returns None, too, where the points were computed, or are the lattice of a product: they do not
+    show how well anybody measures in the image.
     """
     expected = expected_rmse(result)
     if expected is None or are_computed(result) or lattice_of(result) is not None:

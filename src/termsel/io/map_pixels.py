@@ -215,6 +215,7 @@ def _prepare_for_resampling(picture: Picture, resampling: str | None) -> tuple[P
         log.warning("Note: the map has the colours of the image's table instead of its indices, as "
                     "%s mixes pixels; without --resampling it keeps them.", resampling)
         return expand_colours(picture), str(resampling)
+    # The colour table of a GeoTIFF knows opaque colours alone.
     alphas = {colour[3] for band in bands for colour in band.table}
     if any(0 < alpha < 255 for alpha in alphas):
         log.warning("Note: the map has red, green, blue and alpha instead of the image's table, "
@@ -329,6 +330,7 @@ def _interpolate_tile(raster: Any, spec: MapPixels, positions: FloatArray) -> tu
         tile = np.zeros((bands, *shape), dtype=spec.dtype)
         tile[:] = empty.astype(spec.dtype)[:, None, None]
         return tile, np.zeros(shape, dtype=bool)
+    # Each half needs a smaller window, down to a single pixel.
     size = window.width * window.height * bands * spec.dtype.itemsize
     if size > _LARGEST_PART and max(shape) > 1:
         axis = int(np.argmax(shape))

@@ -307,7 +307,7 @@ def _raster_part_around(
 def _largest_distance(positions: FloatArray, exact: FloatArray) -> float:
     """Return the largest distance of positions (n, 2) from exact ones [px].
 
-    Infinite where an exact position has no counterpart.
+    It is infinite where an exact position is known and the other one is not.
     """
     exact_known = np.isfinite(exact).all(axis=1)
     missing = ~np.isfinite(positions).all(axis=1)

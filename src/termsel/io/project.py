@@ -238,6 +238,7 @@ def _projection_warnings(missed: Sequence[str], hidden: Sequence[str], off_image
     """
     if not encloses:
         yield "the control encloses no area, so `outside` cannot be computed"
+    # What the view itself explains comes before what nobody can explain.
     if hidden:
         where = ("in other lines than those of the model" if has_other_lines
                  else "behind the camera or beyond the horizon")

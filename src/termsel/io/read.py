@@ -200,6 +200,7 @@ def read(
         of_readers["columns"] = columns_text(columns)
     formats = [format] if isinstance(format, str) else format
     size = None if image is None else image_size_of(image)
+    # An image may have its RPC inside it or beside it, as vendors deliver it.
     if rpc is None and image is not None:
         rpc = read_delivered_rpc(image)
     image_part = part_of(rpc_offset, rpc_scale)
@@ -220,6 +221,7 @@ def read(
             features = _with_rpc_and_heights(features, dem, rpc, z_unit, image_part,
                                              asked_roles(off, role))
             return _with_packages(features, of_packages, image)
+    # Each file is read once, though it may be given as points and lines: a pipe ends.
     with ExitStack() as stack:
         stack.enter_context(average_while_reading(repeated))
         stack.enter_context(stating_roles(off, role))
@@ -338,6 +340,7 @@ def features_of(source: Any, crs: CrsLike | None = None,
     crs = None if crs is None else crs_text(crs)
     if not isinstance(source, str | Path):
         return read(source, crs=crs, columns=columns)
+    # The same file as one of points and one of lines: it may hold either, or both.
     with read_once(Path(source)) as path:
         features = read_features(
             path, path, crs=crs, either=True,
@@ -399,6 +402,7 @@ def readers_of(paths: Sequence[Path], formats: Sequence[str]) -> list[type[Reade
     """
     built_in_readers: list[type[Reader]] = [
         entry.object for entry in built_in().entries("readers")]
+    # True as long as nothing but built-in readers is needed; the first file that is not stops it.
     names = {reader.name for reader in built_in_readers}
     are_recognised = names.issuperset(formats)
     for path in dict.fromkeys(paths):
@@ -572,6 +576,7 @@ def _reader_that_recognises(path: Path, head: bytes, readers: Sequence[Reader]) 
                 claims.append(reader)
         except PluginFault as fault:
             log.warning("Warning: %s", fault)
+    # A general reader, as of any JSON, stands back behind one of a certain format.
     claims = [reader for reader in claims if not reader.general] or claims
     if built_in_reader is not None:
         for reader in claims:

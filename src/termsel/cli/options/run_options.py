@@ -316,6 +316,7 @@ class RunOptions:
         if not self.files:
             return None, options
         self._require_correction()
+        # Without --set nothing need be imported to know these options.
         of_reading = {option.name: options.pop(option.name) for option in read_options()
                       if option.name in options} if options else {}
         refuse_misspelt(options)

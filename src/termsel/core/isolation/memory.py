@@ -23,6 +23,7 @@ def out_of_memory(error: MemoryError) -> TermselError:
     NumPy says which array it could not allocate. The longest side of it mostly is the number of
     points or pixels, so that a share of these would fit.
     """
+    # NumPy's message: Unable to allocate 7.45 GiB for an array with shape (31623, 31623) and ...
     message = str(error)
     size = _SIZE.search(message)
     required = float(size["amount"]) * _BYTES_BY_UNIT.get(size["unit"], 0.0) if size else 0.0

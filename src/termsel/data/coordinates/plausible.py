@@ -273,6 +273,7 @@ def _refuse_degrees(xy: FloatArray, features: FeatureSet, crs: str) -> None:
         return
     in_metres = xy[~could_be_degrees]
     if len(in_metres):
+        # Medians, as a few wrong coordinates must not decide how far the others spread.
         middle = np.median(in_metres, axis=0)
         spread = np.median(np.abs(in_metres - middle), axis=0).max()
         if np.hypot(*middle) <= max(_NEAR_ORIGIN, _FAR_SPREADS * spread):
@@ -395,6 +396,7 @@ def note_on_wrong_coordinates(features: FeatureSet) -> str:
     if any(is_off):
         features = features.with_(points=features.points.take(~np.array(is_off)))
     points = features.points
+    # The first fault found is told alone, as it may be why the later ones appear.
     before_the_crs = (_note_on_zeros(points) or _note_on_pixels(points)
                       or _note_on_depths(features))
     if before_the_crs or len(points) < MIN_AFFINE_POINTS or not features.crs:

@@ -26,6 +26,7 @@ def with_degrees(features: FeatureSet) -> FeatureSet:
     per_unit, crs = axes_of_degrees(normalise(features.crs))
     if per_unit == 1.0:
         return features
+    # Factors of x, y and z; heights stay.
     factors = np.array([1.0 if axis in features.named_units else per_unit for axis in "xy"] + [1.0])
     converted = "" if (factors == 1.0).all() else f"x and y are multiplied by {per_unit:g}, and "
     log.info("Note: %s does not count in degrees: %sall results are in degrees of its datum.",

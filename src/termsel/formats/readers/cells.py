@@ -396,6 +396,7 @@ def without_header(cells: Cells, stated: Mapping[str, str]) -> Cells:
     Any other table is returned as it is.
     """
     largest = max((int(name) for name in stated.values() if name.isdecimal()), default=0)
+    # The first row that has all declared columns, and does not merely count columns.
     n_titles = next((i for i, row in enumerate(cells.rows[:_SEARCHED])
                      if len(row) >= largest and not counts_columns(row)), 0)
     first_row = cells.rows[n_titles] if cells.rows else []

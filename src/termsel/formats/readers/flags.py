@@ -68,6 +68,7 @@ def find_flags(header: Sequence[str], rows: Sequence[Sequence[str]], taken: Coll
             continue
         cells = [row[i] for row in rows]
         truths = [truth_of(cell) for cell in cells]
+        # Any other word makes it a column of something else.
         if any(truth is None and cell.strip()
                for truth, cell in zip(truths, cells, strict=True)):
             continue
@@ -92,6 +93,7 @@ def remarks_on_unread(header: Sequence[str], rows: Sequence[Sequence[str]],
             continue
         name = name.strip()
         words = list(dict.fromkeys(filter(None, (row[i].strip() for row in rows))))
+        # One word alone, such as "control" in all rows, tells nothing apart.
         if len(words) > 1 and all(fold_name(word) in FIELD_ROLES or word.casefold() in ROLES
                                   for word in words):
             remarks.append(f"column {name!r} looks like roles ({', '.join(words[:4])}) and is not "

@@ -542,6 +542,7 @@ def _require_stated(path: Path | None, line: int | None, header: Sequence[str],
         return
     absent_in_words = " and ".join(f"{name!r} for {meaning}" for meaning, name in absent.items())
     verb = "is no column" if len(absent) == 1 else "are no columns"
+    # Who reads the table without --columns gets all of these by their names.
     by_name = columns_by_meaning(header, aliases)
     remedy = ""
     if all(len(by_name.get(meaning, ())) == 1 for meaning in stated):
@@ -769,6 +770,7 @@ def _read_flags(header: Sequence[str], rows: Sequence[Sequence[str]], column_of:
     flags = None if "enabled" in column_of else find_flags(header, rows, column_of.values())
     if flags is not None:
         found, in_use = flags
+        # Messages name the first of the columns; the cells are what all of them say together.
         column_of["enabled"] = found[0]
         column_names["enabled"] = header[found[0]].strip()
         columns["enabled"] = ["1" if is_in_use else "0" for is_in_use in in_use]

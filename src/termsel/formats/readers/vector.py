@@ -244,6 +244,7 @@ def _refused_driver_error(path: Path) -> TermselError:
         return TermselError("this is a table or other text, without lines of a map", file=path,
                             hint="Give a file of vectors, such as roads in a GeoPackage or in "
                                  "GeoJSON. Tables of points are for termsel run: --points FILE.")
+    # TIFF in either byte order, and BigTIFF.
     if head.startswith((b"II*\0", b"MM\0*", b"II+\0")):
         return TermselError("this is a raster (TIFF), expected vectors", file=path,
                             hint="Give a file of lines or points, such as a GeoPackage.")

@@ -142,7 +142,10 @@ class GcpGridVrt(GridWriter):
 
     def log_interpolation_error(self, fitted: Fit, image: FloatArray, ground: FloatArray,
                                 surface: Dem | float) -> None:
-        """Log how far GDAL's thin plate spline through the grid is from the model."""
+        """Log how far GDAL's thin plate spline through the grid is from the model.
+
+        The arguments are those of `GeolocationVrt.log_interpolation_error`.
+        """
         finite = np.isfinite(ground).all(axis=-1)
         if finite.sum() < 3:
             return

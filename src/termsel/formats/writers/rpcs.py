@@ -149,6 +149,7 @@ def _warn_of_unknown_datum(result: Result) -> None:
     if note := note_on_ellipsoid(result.features, result.project):
         log.warning("Warning: %s", note)
         return
+    # How far geoid and ellipsoid are apart there is not known: the effect is told by the step.
     step = STEP_OF_HEIGHT / height_unit(result.features.crs)
     pixels = pixels_by(step, result.features, result.project)
     log.warning("Warning: %s. An RPC takes ellipsoidal heights: if these are above a geoid, the "

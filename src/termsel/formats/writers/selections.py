@@ -64,7 +64,7 @@ def gcps_of(result: Result) -> tuple[Points, Points, str]:
 def _errors_of_points(result: Result) -> FloatArray:
     """Return measured minus computed line and sample of all points, (n, 2) [px].
 
-    Returns NaN where a height that the model uses is not known.
+    Errors are NaN where a height that the model uses is not known.
     """
     points = result.features.points
     errors = np.asarray(result.fit.errors(points))
