@@ -98,6 +98,7 @@ def _sum_blocks(blocks: FloatArray, features: BoolArray, total: FloatArray) -> N
     n = len(blocks) - 1
     width = blocks.shape[1]
     selected = np.empty(_CACHED, dtype=np.intp)
+    # Each sum begins with the block of the rows that are always in use.
     for individual in range(len(features)):
         for j in range(width):
             total[individual, j] = blocks[n, j]

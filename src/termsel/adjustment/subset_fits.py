@@ -99,6 +99,7 @@ def _factor_by_cholesky(matrix: FloatArray) -> float:
     least = np.inf
     for i in range(len(matrix)):
         diagonal = matrix[i, i]
+        # L_ij = (a_ij - sum over h < j of L_ih L_jh) / L_jj
         for j in range(i + 1):
             entry = matrix[i, j]
             for h in range(j):

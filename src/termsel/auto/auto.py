@@ -293,6 +293,7 @@ class Auto(Method):
         if settled is not None:
             return settled
         compared = self._validated_fits(candidates, data, watch, with_contained=with_contained)
+        # Few features: the simplest methods, which are fitted only then, may be the best.
         has_prior = any(method_of(fitted).has_prior for fitted in compared)
         if not has_prior or is_undecided(data):
             compared = [*self.few(data), *compared]

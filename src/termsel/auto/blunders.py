@@ -167,6 +167,7 @@ def _verdict_without(misplaced: BoolArray, control: FitData, auto: Auto) -> _Ver
         mask[~misplaced] = mask_of_others
         return mask
 
+    # The test is of all features, so that misplaced points have their errors, too.
     used = of_all(others.used, False)
     test = Division(control, used).test()
     if test is None:

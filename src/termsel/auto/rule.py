@@ -357,6 +357,7 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
         if not (is_clearly_better or is_supported_and_smaller(alternative, base)
                 or is_simpler_and_smaller(alternative, base)):
             continue
+        # Five points let a camera fit well by chance, though the truth is a similarity.
         chance = chance_of_similarity(alternative, compared)
         if chance <= CHANCE_OF_SIMILARITY:
             rivals.append(alternative)

@@ -230,6 +230,7 @@ def options_by_part(values: Mapping[str, Any],
     values_by_owner: dict[str, dict[str, Any]] = {owner: {} for owner in declared}
     for key, value in values.items():
         prefix, _, name = key.rpartition(".")
+        # Without a part in front of its name an option belongs to whoever has it.
         matching = [owner for owner in owners.get(name, ()) if prefix in ("", owner)]
         if not matching:
             if of_package := package_of_option(name):

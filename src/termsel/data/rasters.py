@@ -315,6 +315,7 @@ def _has_its_pixels(raster: Any) -> bool:
         return _share_of_blocks(raster) >= _LEAST_SHARE
     if raster.driver not in _WITHOUT_HOLES:
         return False
+    # The last block of the last band is at the end of the file.
     lines, samples = raster.block_shapes[-1]
     first_line = (raster.height - 1) // lines * lines
     first_sample = (raster.width - 1) // samples * samples

@@ -220,6 +220,7 @@ def _heights_show(view: CentralView, points: Points) -> bool:
     from scipy.special import fdtri  # views without heights need not import it
 
     plane = _projection_columns(points.ground, 3)
+    # What of the heights a plane explains, the other columns of a projection do.
     heights = points.ground[:, 2]
     off_plane = heights - plane @ np.linalg.lstsq(plane, heights)[0]
     if np.abs(off_plane).max() <= LEAST_RELIEF:

@@ -102,6 +102,7 @@ def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
     """
     best = closest_rpc(fitted, heights)
     say_stand_in(fitted, "EPSG:4979")
+    # Without heights of its own it is the model itself, and there is nothing to tell.
     if best.heights is not None:
         low, high = best.heights
         log.log(logging.INFO if best.worst <= GOOD else logging.WARNING,

@@ -110,6 +110,7 @@ def with_image_origin(features: FeatureSet, choice: str | None, states_own: bool
                                "samples", hint="Leave image_origin out.")
         return replace(_turn_to_upper_left(features, origin, size),
                        image_origin=_ORIGIN_WORDS[origin])
+    # What follows guesses: a format that states its origin needs none.
     if states_own or not len(features):
         return features
     lines = features.image_vertices()[:, 0]

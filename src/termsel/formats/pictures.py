@@ -210,6 +210,7 @@ def expand_colours(picture: Picture) -> Picture:
         if not band.category:
             bands.append(band)
             continue
+        # Where the image has no data, the colours are transparent.
         table = np.array(band.table or GREY_OF_BITS)
         if band.nodata is not None and 0 <= band.nodata < len(table):
             table[int(band.nodata), 3] = 0

@@ -468,6 +468,7 @@ def _rpc_from_xml(path: Path, name: str) -> Rpc:
         return _rpc_from_dimap(root)
     if items_of_bands := rpcs_of_xml(root):
         return _choose_rpc(items_of_bands, name, bands=True)
+    # A PAM file has the RPC as a domain of metadata; the default domain may name its control.
     items: dict[str, str] = {}
     metadata: dict[str, str] = {}
     for domain in root.iter("Metadata"):

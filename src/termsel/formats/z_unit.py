@@ -216,6 +216,7 @@ def _unit_by_dem(features: FeatureSet, units: tuple[str, ...], dem: Path) -> str
                    for unit in units}
     if not on_dem.any():
         return None
+    # A wrong unit stretches the relief, so that the differences scatter; a datum shifts them.
     if on_dem.sum() >= _TELLING:
         return _clearly_smallest(
             {unit: _median_scatter(over) for unit, over in differences.items()})

@@ -150,6 +150,7 @@ def _files_in_use(reads: Iterable[object], beside: bool) -> Iterator[Path]:
         if path.is_dir():
             waiting += files_of_result(path)
             continue
+        # RPCs, worldfiles, overviews and the like, by their usual names.
         if beside:
             names = [*(path.with_suffix(end) for end in _NEXT_TO),
                      *(path.with_name(path.stem + end) for end in _AFTER),

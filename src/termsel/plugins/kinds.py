@@ -108,6 +108,7 @@ def _require_attribute_types(cls: type) -> None:
         if not isinstance(value, (list, tuple) if expected_type is tuple else expected_type):
             raise TypeError(f"returned {cls.__name__} with {attribute} = {value!r:.100}, "
                             f"which is no {expected_type.__name__}")
+    # Tuples are checked by what they hold.
     for attribute, element_type in (("declared_options", Option), ("segments", type)):
         for element in getattr(cls, attribute, ()):
             if not isinstance(element, element_type):

@@ -378,6 +378,7 @@ def _outlier_count_line(record: Record) -> list[str]:
     """
     rejected, used, independent = _group_outliers(record)
     named = outlier_lines(record)
+    # A count saves nothing where the names take one line.
     height = sum(map(_lines_of_fact, _label_facts("Outliers", named)))
     if height == 1 or not any((rejected, used, independent)):
         return named
@@ -744,6 +745,7 @@ def _caution_on_known_camera(record: Record) -> str:
     strategy = record.strategy
     if strategy is None or strategy.chosen != KNOWN_CAMERA:
         return ""
+    # Cameras whose focal length is fitted, with nothing stated of them.
     figures = {row.name: row.predicted for row in strategy.candidates if row.predicted is not None}
     free_cameras = {name: figures[name] for name in figures
                     if name in BY_NAME and BY_NAME[name].central}

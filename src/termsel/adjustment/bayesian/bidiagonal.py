@@ -220,6 +220,7 @@ def _bidiagonalise(matrices: FloatArray, rotation: FloatArray, diagonal: FloatAr
     turned = rotation.reshape(len(rotation) * m, lanes)
     factor, total = work
     for i in range(m):
+        # Row i: its entries right of the diagonal are brought to 0, for all matrices at once.
         head = i * k + i
         _sum_squares(entries, head, 1, k - i, total)
         _make_reflection(entries[head], total, factor, diagonal[i])
@@ -227,6 +228,7 @@ def _bidiagonalise(matrices: FloatArray, rotation: FloatArray, diagonal: FloatAr
             _reflect(entries, head, 1, factor, entries, row * k + i, 1, k - i, total)
         if i + 1 == m:
             break
+        # Column i: its entries below the one next to the diagonal are brought to 0.
         head += k
         rows = m - i - 1
         _sum_squares(entries, head, k, rows, total)

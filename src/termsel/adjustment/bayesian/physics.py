@@ -213,6 +213,7 @@ class CameraEquations:
         self.basis = q[:, 2 * N_FREE:]
         self.free_projections = q[:, :2 * N_FREE].T @ shrunken
         self.shrunken = self.basis.T @ shrunken
+        # Line first, then sample, as the rows of both axes are stacked.
         measured = (image * weights).T.ravel()
         self.target = self.basis.T @ measured
         self.free_target = q[:, :2 * N_FREE].T @ measured

@@ -51,6 +51,7 @@ def no_such_file_error(path: Path | str) -> TermselError:
         address_text = f"{address[1]}://{str(path)[address.end():]}"
         return TermselError("this is an address on a server, and termsel downloads nothing",
                             file=address_text, hint="Download the file, and give its name here.")
+    # Quoted patterns, and those of Windows, come as they were typed.
     matching = sorted(glob.iglob(str(path))) if glob.has_magic(str(path)) else []
     if matching:
         return TermselError(f"this is a pattern of {count_in_words(len(matching), 'file')}, "

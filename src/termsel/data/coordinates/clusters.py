@@ -76,6 +76,7 @@ def _shortest_tree(plan: FloatArray) -> tuple[list[int], list[int], FloatArray]:
     parents: list[int] = []
     edges: list[float] = []
     while is_outside.any():
+        # The place outside that is nearest to the tree joins it.
         place = int(np.argmin(np.where(is_outside, distances, np.inf)))
         order.append(place)
         parents.append(int(nearest_inside[place]))

@@ -203,6 +203,7 @@ def _lattice_of_points(points: Points) -> Lattice | None:
     if (min(lines, columns) < MIN_LATTICE_LINES or len(points) < FILLED * lines * columns
             or len(np.unique(line * columns + column)) < len(points)):
         return None
+    # Measured points on a grid are noisy; computed ones are as smooth as their numbers are stored.
     lattice = Lattice(line, column)
     noise = _noise_along_lines(points, lattice)
     return lattice if noise is None or noise <= np.hypot(SMOOTH, _storage_noise(points)) else None

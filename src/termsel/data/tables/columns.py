@@ -401,6 +401,7 @@ def _read_number(row: int, cell: str, sign: str, may_be_blank: bool, angle: str)
         raise BadCell(row, "the cell is blank, expected a number", "Fill it in or remove the row.")
     # Spaces and apostrophes may separate groups of three digits, and typography has its own minus.
     digits = _PARTED.sub("", cell).replace("−", "-")
+    # The sign that is not decimal may part thousands, but only in groups of three.
     separator = COMMA if sign == POINT else POINT
     if separator in digits and _GROUPS[separator].fullmatch(digits.strip()):
         digits = digits.replace(separator, "")

@@ -72,6 +72,7 @@ def find_flags(header: Sequence[str], rows: Sequence[Sequence[str]], taken: Coll
         if any(truth is None and cell.strip()
                for truth, cell in zip(truths, cells, strict=True)):
             continue
+        # "excluded" says of rows in use that they are false.
         means_off = folded in _OUT_OF_USE
         stays = [truth is None or truth is not means_off for truth in truths]
         if any(stays) and not all(stays):

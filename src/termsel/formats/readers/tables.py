@@ -241,6 +241,7 @@ class Table:
         if unknown:
             raise self._unknown_roles_error(cells, unknown)
         roles = [role_of_cell[cell] for cell in cells]
+        # A row that is not enabled is off, whatever role it has.
         is_enabled = self._enabled_by_cell()
         for row, cell in enumerate(self.columns.get("enabled", ())):
             if not is_enabled[cell]:
@@ -330,6 +331,7 @@ class Table:
                                    angle=meaning[0] if meaning[0] in "xy" else "")
         except BadCell as error:
             raise self.error(error.what, error.row, meaning, error.hint) from None
+        # A program that sampled a raster has written its mark for no data as a height.
         void_rows = np.flatnonzero((meaning[0] == "z") & np.isin(numbers, VOID_HEIGHTS))
         if len(void_rows):
             further = ""

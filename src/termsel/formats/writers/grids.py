@@ -83,6 +83,7 @@ class GridWriter(Writer):
             ground = ground_where_held(fitted, image.reshape(-1, 2), surface)
             ground = ground.reshape(*image.shape[:2], 3)
             self.log_interpolation_error(fitted, image, ground, surface)
+        # Three nodes are the fewest that determine a surface.
         unseen = int(np.isnan(ground).any(axis=-1).sum())
         if unseen > image[..., 0].size - 3:
             place = place_of(fitted.control)

@@ -198,6 +198,7 @@ class ScoreSystems:
                           parents=self.parents, guard=guard, x=np.empty(depths),
                           sums=np.empty(guard.shape[1]))
         position = position_of(depths, BITS[node.used].sum(), _counts_of_subsets(n, limits.room))
+        # Which kernel: bounds of held-out errors, bounds of check errors, or each subset by itself.
         pruned = 0
         if self.holds_out:
             pruned = decide_branch(self.kind, vectors, limits, records, position, check=None,

@@ -81,6 +81,7 @@ class Press(_LeftOut):
                 is_determined &= is_part_determined
             squares[batch] = np.where(is_determined[:, None], fits.held_out_each(solutions),
                                       np.inf)
+        # Twins would predict each other: they are held out together, by solutions of their own.
         for group in groups:
             if len(group) > 1:
                 squares[:, group] = _fold_errors(fits, group)

@@ -394,6 +394,7 @@ def _carry_to_next_depth(rows: FeatureRows, state: WalkState, space: EntrySpace,
     """
     for p in range(len(rows.columns)):
         state.square[depth + 1, p] = _enter_feature(rows, state, space, depth, p, i)
+        # Only features after i may still enter below.
         start = rows.start[p, i + 1]
         stop = rows.start[p, len(rows.bits)]
         for a in range(start, stop):
