@@ -211,6 +211,16 @@ def test_coordinates_of_another_grid_than_the_crs_are_named(
     assert note_on_wrong_coordinates(in_a_plane) == ""
 
 
+@pytest.mark.parametrize(("crs", "x", "y"), [
+    ("EPSG:28407", 7_430_000.0, 6_170_000.0), ("EPSG:4547", 500_000.0, 3_400_000.0)])
+def test_a_northing_called_x_looks_swapped(crs: str, x: float, y: float) -> None:
+    [sample], [line] = np.random.default_rng(1).uniform(0, 2000, (2, 1, 14))
+    image = np.column_stack([line, sample])
+    assert note_on_wrong_coordinates(features(image, x + sample, y - line, crs)) == ""
+    note = note_on_wrong_coordinates(features(image, y - line, x + sample, crs))
+    assert note.endswith("x and y look swapped. --set swapped=xy exchanges them.")
+
+
 @pytest.mark.parametrize(("crs", "lon", "lat"), [
     ("EPSG:2154", 2.0, 47.0), ("EPSG:2154", 12.0, 44.0), ("EPSG:32631", 9.0, 40.0),
     ("EPSG:3857", 175.0, -40.0), ("EPSG:3035", 10.0, 52.0), ("EPSG:2193", 178.0, -38.0),

@@ -122,7 +122,8 @@ def test_few_points_and_points_on_one_line_are_not_doubted(
 
 @pytest.mark.parametrize(("crs", "place", "text"), [
     ("EPSG:4326", (-56.1, -34.9), "34.9 S, 56.1 W"), ("EPSG:4979", (190.0, 0.0), "0.0 N, 170.0 W"),
-    ("EPSG:32632", (500000, 5200000), "47.0 N, 9.0 E"), ("local", (5.0, 5.0), "")])
+    ("EPSG:32632", (500000, 5200000), "47.0 N, 9.0 E"),
+    ("EPSG:4547", (500000, 3400000), "30.7 N, 114.0 E"), ("local", (5.0, 5.0), "")])
 def test_the_place_is_named(crs: str, place: tuple[float, float], text: str) -> None:
     assert place_of(scene(crs, place, 1e-6)) == text
     assert place_of(termsel.FeatureSet(empty_points(), empty_lines(), crs)) == ""

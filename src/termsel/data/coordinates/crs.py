@@ -514,6 +514,37 @@ def transformation_between(source: str, target: str, *, strict: bool = True,
     return convert
 
 
+def transformation_to_own_degrees(crs: str) -> Transformation:
+    """Return a function from places (n, 3) in a CRS to longitudes and latitudes of its own datum.
+
+    Longitudes count from Greenwich, and heights stay. Raises TermselError for "local" and other
+    CRSs without longitudes and latitudes, and without pyproj.
+    """
+    name = normalise(crs)
+    with require_import("longitudes and latitudes require", "pyproj", GIS):
+        from pyproj import Transformer
+        from pyproj.exceptions import ProjError
+
+    parsed = None if name == LOCAL else _with_pyproj(name)
+    missing = TermselError(f"{short_crs_name(name)} has no longitudes and latitudes",
+                           hint="State the CRS of the ground coordinates.")
+    if parsed is None or parsed.geodetic_crs is None:
+        raise missing
+    try:
+        transformer = Transformer.from_crs(parsed.to_2d(), parsed.geodetic_crs.to_2d(),
+                                           always_xy=True)
+    except ProjError as error:
+        raise missing from error
+    meridian = prime_meridian_of(name)
+
+    def convert(ground: FloatArray) -> FloatArray:
+        """Return longitude, latitude and height (n, 3)."""
+        lon, lat = transformer.transform(*ground[:, :2].T)
+        return np.column_stack([lon + meridian, lat, ground[:, 2]])
+
+    return convert
+
+
 def plane_transformer(source: str | CRS, target: str | CRS) -> Transformer:
     """Return the transformer of x and y from one CRS to another, heights left as they are.
 

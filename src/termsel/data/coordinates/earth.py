@@ -24,6 +24,7 @@ from termsel.data.coordinates.crs import (
     prime_meridian_of,
     short_crs_name,
     transformation_between,
+    transformation_to_own_degrees,
 )
 from termsel.data.coordinates.crs_columns import crs_of_columns
 from termsel.data.coordinates.longitudes import unwrap_longitudes, without_jump
@@ -329,6 +330,20 @@ def is_inside(position: tuple[float, float], area: tuple[float, float, float, fl
             and ((lon - west + margin) % 360 <= width + 2 * margin or width + 2 * margin >= 360))
 
 
+def _degrees_of_plan(crs: str, geodetic: str, middle: FloatArray) -> tuple[float, float]:
+    """Return longitude and latitude [deg] of a place (1, 3) in a CRS without heights.
+
+    They are on the datum of `geodetic` or, where PROJ knows no transformation to that, as from the
+    datum of China, on that of the CRS itself: the two are some hundred metres apart at most. Raises
+    TermselError for "local", and without pyproj for most CRSs.
+    """
+    try:
+        lon, lat = transformation_between(crs, geodetic, strict=False)(middle)[0, :2].tolist()
+    except TermselError:
+        lon, lat = transformation_to_own_degrees(crs)(middle)[0, :2].tolist()
+    return lon, lat
+
+
 def degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
     """Return longitude and latitude [deg] of the median of places (n, 3).
 
@@ -345,11 +360,9 @@ def degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
             middle = median_of(np.nan_to_num(ground).T)[None]
             geodetic = geodetic_of(crs)
             if is_geocentric(crs):
-                transform = transformation_between(crs, geodetic)
+                lon, lat = transformation_between(crs, geodetic)(middle)[0, :2].tolist()
             else:
-                transform = transformation_between(horizontal_crs(crs), horizontal_crs(geodetic),
-                                                   strict=False)
-            lon, lat = transform(middle)[0, :2].tolist()
+                lon, lat = _degrees_of_plan(horizontal_crs(crs), horizontal_crs(geodetic), middle)
     except TermselError:  # without a CRS or without pyproj nothing shows
         return None
     if np.isfinite([lon, lat]).all() and abs(lat) <= 90:
