@@ -418,8 +418,8 @@ class Auto(Method):
 
         All features count for `Method.max_features`. Where the `choice` from all of them is given,
         methods that came nowhere near it are not fitted to parts. These are methods without a prior
-        that predict no better than the fit to beat, and methods that all features do not determine
-        or do not support, unless the methods say that parts of the features may.
+        that predict no better than the fit to beat. They are also methods that all features do not
+        determine or do not support; a method may say, though, that parts of the features may.
         """
         choice_for_parts = replace(self, all_features=data.features, hopeless=frozenset())
         priors = [] if choice is None else [

@@ -333,12 +333,12 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
 
     Where no method has a prior, the smallest RMSE decides. Else one of the fits with a prior is the
     fit to beat (see `fit_to_beat`). Any method that no prior contains must be better than that by
-    CLEAR_MARGIN standard errors; a central projection by PROJECTION_MARGIN, or by PRIOR_MARGIN
-    where the points support an oblique or near camera, or have a far smaller RMSE (see
-    `is_supported_and_smaller`), and never where it fits few points better than a similarity by
-    chance (see `chance_of_similarity`); for a similarity of few points in a plane less is enough
-    (see `is_simpler_and_smaller`). Of the methods that are so much better, and the fit to beat, the
-    one with the smallest RMSE is chosen.
+    so many standard errors: CLEAR_MARGIN; for a central projection PROJECTION_MARGIN, or
+    PRIOR_MARGIN where the points support an oblique or near camera. A supported projection may
+    instead have a far smaller RMSE (see `is_supported_and_smaller`), and a similarity of few points
+    in a plane smaller errors (see `is_simpler_and_smaller`). A projection that fits few points
+    better than a similarity by chance alone is left out (see `chance_of_similarity`). Of the
+    methods that are so much better, and the fit to beat, the one with the smallest RMSE is chosen.
 
     The choice has its reason only where it is to be `explained`.
     """

@@ -266,8 +266,8 @@ def _options_of_image(path: Path, image: Path, readers: Sequence[type[Reader]],
                       formats: Sequence[str], options: Mapping[str, Any]) -> dict[str, Any]:
     """Return the options of the reader with which only the points of one image are read.
 
-    They are the part of the file that has the name of the image, unless `options` has the name of
-    an image already, and the image as the raster of a reader that takes one. There are no options
+    One is the part of the file that has the name of the image, unless `options` names an image
+    already. The other is the image as the raster of a reader that takes one. There are no options
     for a file of one image.
     """
     reader = find_reader(path, readers, next(iter(formats), None), options)

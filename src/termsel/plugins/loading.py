@@ -88,11 +88,11 @@ class Remark:
 
 def run_plugin_code(call: Callable[[], T], package: str = OWN, seconds: float | None = None,
                     ) -> tuple[T, None] | tuple[None, str]:
-    """Run code of a plugin, in a thread of its own with a limit of time, by default `LIMIT` [s].
+    """Return the value of a call into a plugin and None, or None and why it failed, in words.
 
-    Working folder and filters of warnings are put back. ``TERMSEL_DEBUG=1`` shows the traceback of
-    what it raises. The package is the top-level module of the plugin; what belongs to termsel is
-    called as it is. Returned are the value and None, or None and what was raised.
+    The call has a thread of its own, and so many `seconds`, by default `LIMIT`. Working folder and
+    filters of warnings are put back after it. ``TERMSEL_DEBUG=1`` shows the traceback of what it
+    raises. `package` is the top-level module of the plugin; code of termsel is called as it is.
     """
     def contained() -> tuple[T, None] | tuple[None, str]:
         """Return the value of a call and None, or None and why it failed."""

@@ -227,9 +227,10 @@ def _front_and_proofs(record: Record, view: View | None, picture: str) -> Iterat
 def _table_of_members(record: Record, members: Sequence[Member | SizeRow]) -> TableBlock:
     """Return the table of the front, or of the best so far of each size: a row a member.
 
-    Its columns are the objectives, the RMSE at selection points (unless that is an objective) and
-    at independent check points, what is proven of the size (if anything is proven of any), and the
-    names of the terms or features. The member with the record's own selection is marked.
+    Its columns are the objectives, the RMSE at selection points and at independent check points,
+    what is proven of the size, and the names of the terms or features. The RMSE at selection points
+    is left out if it is an objective, and proofs if nothing is proven of any size. The member with
+    the record's own selection is marked.
     """
     size, *further = members[0].objectives
     names = size.removeprefix("n_")

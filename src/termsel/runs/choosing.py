@@ -56,10 +56,13 @@ def uses_auto(strategy: str | None, recipe: Recipe, method: Sequence[str] = (), 
               unnamed: bool = False) -> bool:
     """Return whether a run is to choose its method by itself.
 
-    Without a strategy, "auto" or "as-asked", it does so for problems that methods without a search
-    can answer, but for those whose search comes first, where nothing of a method is asked for:
-    `method` has what is, in words. If nobody named the problem, "auto" comes before its own search.
-    Refuses "auto" next to a method, and for a problem that is not one for it.
+    `strategy` is "auto", "as-asked" or None, where the user says nothing. `method` are the words
+    for what is asked for of a method, such as "model". Without a strategy the run chooses if
+    nothing of a method is asked for, and if methods without a search can answer the problem. A
+    problem whose own search comes first is searched even so, unless nobody named it (`unnamed`).
+
+    Raises TermselError for another strategy, for "auto" next to a method, and for "auto" of a
+    problem that methods without a search cannot answer.
     """
     if strategy is not None and strategy not in NAMES:
         raise TermselError(f"there is no strategy {strategy!r}",

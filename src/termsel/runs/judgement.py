@@ -33,15 +33,34 @@ def judge(conventional: str, criterion: str, rmse: Rmses, baselines: tuple[Basel
           has_figure: bool = True) -> str:
     """Return one or two sentences that compare the selection with fits that need no search.
 
-    `conventional` names the features and terms of the conventional fit, such as "all lines"; that
-    fit is the first baseline. `reference` names the one that the rule of auto chooses for control
-    and check, "" without one; `method` is that method, by default the one of its name, and
-    `blunders` how many features it leaves out as such. The criterion is what the search minimised,
-    the RMSE are those of the selection by role, like the baselines' without independent points that
-    contradict all others, and the noise is the standard deviation of the measurements [px], None if
-    it is not known. A selection that is not `feasible` may be so because its fit has not
-    `converged`, or because its search had too few `evaluations`, which are those of a search that
-    its budget ended, or as its criterion gives it no finite figure (`has_figure`).
+    Parameters
+    ----------
+    conventional : str
+        The features and terms of the conventional fit, such as "all lines". That fit is the first
+        of the `baselines`.
+    criterion : str
+        What the search minimised.
+    rmse : mapping
+        The RMSE of the selection by role [px], as that of the baselines without independent points
+        that contradict all others.
+    baselines : tuple of Baseline
+        The fits that it is compared with.
+    reference : str
+        The name of the baseline that the rule of auto chooses for control and check; "" if none is.
+    feasible : bool
+        Whether the selection satisfies all conditions.
+    noise : float or None
+        Standard deviation of the measurements [px], None if it is not known.
+    converged : bool
+        Whether the fit of the selection has.
+    method : Method, optional
+        That of the `reference`; by default the method of this name.
+    blunders : int
+        How many features that method leaves out as blunders.
+    evaluations : int, optional
+        How many the search made, if its budget ended it.
+    has_figure : bool
+        Whether the criterion gives the selection a finite figure.
     """
     if not has_figure:
         return (f"The criterion {criterion!r} {NO_FIGURE} for this selection, and none was found "
@@ -107,13 +126,14 @@ def judge_choice(method: Method, predicted: float | None, rmse: Rmses,
                  is_asked_for: bool = False) -> str:
     """Return some sentences on the worth of an automatic choice, or of a method asked for.
 
-    `predicted` is the RMSE of the choice repeated in folds [px], `held_out` that of the chosen
-    model alone in leave-one-out, `gains` are those of the models that it was chosen among (see
-    `verdict_on_choice`), `rmse` is that by role, and `noise` the standard deviation of the
-    measurements [px], where it is known. The choice is compared with the conventional model that
-    held-out features would have chosen, like with like: both at the independent points where there
-    are `MANY_INDEPENDENT`, else both in leave-one-out. A conventional model that is better at so
-    many independent points is named, too.
+    `predicted` is the RMSE of the choice repeated in folds [px], and `held_out` that of the chosen
+    model alone in leave-one-out. `gains` are those of the models that it was chosen among (see
+    `verdict_on_choice`). `rmse` is that by role, and `noise` the standard deviation of the
+    measurements [px], where it is known.
+
+    The choice is compared with the conventional model that held-out features would have chosen,
+    like with like: both at the independent points where there are `MANY_INDEPENDENT`, else both in
+    leave-one-out. A conventional model that is better at so many independent points is named, too.
     """
     measured = rmse["independent"]
     subject = "The method that was asked for" if is_asked_for else "The automatic choice"

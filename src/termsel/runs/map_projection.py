@@ -63,8 +63,9 @@ def with_map_projection(observations: Observations, auto: Auto) -> tuple[Observa
     projection, as more maps are true to scale than show degrees as squares. The note is "" where
     the coordinates stay as they are. Independent points take no part.
 
-    Tried only where heights play no part, nothing states the geometry (a CRS of the fit, an RPC, a
-    method that is asked for), and the coordinates differ from the projection by what could matter.
+    A projection is tried only where heights play no part, where nothing states the geometry (a CRS
+    of the fit, an RPC, a method that is asked for), and where the coordinates differ from the
+    projection by what could matter.
     """
     features = observations.together
     as_given = observations, ""

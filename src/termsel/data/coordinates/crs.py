@@ -118,13 +118,14 @@ def crs_text(crs: CrsLike) -> str:
 def normalise(crs: str) -> str:
     """Return the normal form of a CRS, in which names are compared.
 
-    It is "EPSG:n", "EPSG:n+m" with heights of their own, "OGC:CRS84", their URN forms, WKT,
-    "local", "WGS84", "WGS84 UTM 16N", or with pyproj "ETRS89 UTM 33N", a string of PROJ, the name
-    that EPSG or ESRI gives a CRS, "ESRI:n" and the codes of other bodies than the Earth,
-    "IAU_2015:n".
-    "EPSG:n" is returned where the code is known, pyproj finds it or WKT ends with it. Raises
-    TermselError for text in none of these forms. If pyproj is installed, also for a code that does
-    not exist, WKT that cannot be read, or a CRS without horizontal coordinates.
+    `crs` may be "EPSG:n", "EPSG:n+m" with heights of their own, "OGC:CRS84", the URN form of these,
+    WKT, "local", "WGS84" or "WGS84 UTM 16N". With pyproj it may also be "ETRS89 UTM 33N", a string
+    of PROJ, the name that EPSG or ESRI gives a CRS, "ESRI:n", and the code of another body than the
+    Earth, "IAU_2015:n". The normal form is "EPSG:n" where the code is known, pyproj finds it or WKT
+    ends with it.
+
+    Raises TermselError for text in none of these forms. If pyproj is installed, also for a code
+    that does not exist, WKT that cannot be read, or a CRS without horizontal coordinates.
     """
     text = crs.strip()
     if text.lower() == LOCAL:

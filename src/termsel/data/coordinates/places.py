@@ -189,9 +189,9 @@ def lattice_of(features: FeatureSet) -> Lattice | None:
 def _lattice_of_points(points: Points) -> Lattice | None:
     """Return the lattice that points make, or None if they make none.
 
-    They make none if they are few, if they have standard deviations, which measured points have, if
-    crossings of lines and columns are empty or taken twice, or if the ground is noisy along lines.
-    The points have no longitudes that jump.
+    They make none if they are few, or if they have standard deviations, as measured points have.
+    Nor do they if crossings of lines and columns are empty or taken twice, or if the ground is
+    noisy along lines. The points must have no longitudes that jump.
     """
     if len(points) < MIN_LATTICE_LINES**2 or points.sigma is not None:
         return None

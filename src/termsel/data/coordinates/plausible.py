@@ -445,8 +445,8 @@ def _note_on_zeros(points: Points) -> str:
 def _note_on_kilometres(features: FeatureSet) -> str:
     """Return a note that eastings and northings look like kilometres; "" if they do not.
 
-    They do if, multiplied by a thousand, they are in the area of their CRS, and if, as they stand,
-    they are outside that area or would give the image pixels of less than `_SMALLEST_PIXEL`.
+    They do if a thousand times of them are in the area of their CRS, and they themselves are
+    outside that area, or would give the image pixels of less than `_SMALLEST_PIXEL`.
     """
     crs = normalise(features.crs)
     points = features.points

@@ -350,10 +350,9 @@ def _point_in_words(row: Sequence[str], columns: Mapping[str, int]) -> str:
 def unknown_table_error(path: Path, expected: str, columns: str) -> TermselError | None:
     """Return the error for a file without a reader, None unless it is a table of numbers.
 
-    `expected` are the formats that could be given, `columns` what the option says of columns
-    already. A table without a header, with one in unknown words, or with one pair of coordinates
-    alone is told apart here, so that the user gets a text of --columns to type and not a list of
-    formats.
+    `expected` are the formats that could be given, `columns` is what the option of this name says
+    already. The table may have no header, one in unknown words, or one pair of coordinates alone.
+    For each of these the user gets a text of --columns to type, and not a list of formats.
     """
     stated = parse_columns(columns)
     is_spreadsheet = path.suffix.lower() in SPREADSHEETS

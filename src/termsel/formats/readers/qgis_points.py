@@ -119,8 +119,9 @@ def _count_inside(pixels: FloatArray, size: tuple[int, int]) -> int:
 def _is_of_layer(source: FloatArray) -> bool:
     """Return whether sources (n, 2) look like places of a georeferenced raster.
 
-    They do if most rows are positive, which those of pixels are not in these files, if they are all
-    closer together than pixels would be, or if they are far from 0 for their extent.
+    They do in three cases: if most rows are positive, which those of pixels are not in these files;
+    if they are all closer together than pixels would be; or if they are far from 0 for their
+    extent.
     """
     with np.errstate(over="ignore"):  # Points refuses numbers that are so large
         extent = np.ptp(source, axis=0)
