@@ -360,7 +360,11 @@ def match_example(folder: Path, size: int, seed: int, off: float) -> None:
 
 def next_map_command(image: Path, reference: Path, points: Path, dem: Path | None,
                      start: str | None, masks: Sequence[str] = ()) -> str:
-    """Return the command line that makes a map by the candidates in a file of points."""
+    """Return the command line that makes a map by the candidates in the file `points`.
+
+    `start` and `masks` are those that the candidates were matched with. Without a `dem` the line
+    has the word DEM in its place.
+    """
     words = ["termsel auto-georeference", quote(str(image)), "--points", quote(str(points)),
              "--reference", quote(str(reference)),
              "--dem", "DEM" if dem is None else quote(str(dem))]
@@ -401,11 +405,10 @@ def next_run_command(start: str | None, image: Path, features: FeatureSet, lines
 
 def refuse_output(output: Path, overwrite: bool, *reads: object,
                   written_as: str | None = None) -> None:
-    """Refuse to replace what is read, or a file without permission, before long work.
+    """Raise TermselError for an output that may not be written, before any long computation.
 
-    `written_as` is as of `require_replaceable`.
-
-    A link is followed where the user typed its name.
+    It may not replace a file that is read, nor any other file unless `overwrite`. `written_as` is
+    the format in words (see `require_replaceable`). A link is followed if the user typed its name.
     """
     # Nobody has asked for the default name: a link of that name may lead anywhere.
     if click.get_current_context().get_parameter_source("output") is ParameterSource.DEFAULT:
@@ -439,7 +442,7 @@ class _OnStderr(logging.Handler):
 
 
 def show_log() -> None:
-    """Print what this package logs on stderr."""
+    """Let the messages that this package logs be printed on stderr from now on."""
     logger = logging.getLogger("termsel.match")
     # A program may run several commands: one handler is enough.
     if not logger.handlers:

@@ -59,7 +59,8 @@ def termsel_methods() -> Iterable[Method]:
 
 @hookimpl
 def termsel_datasets() -> Iterable[DatasetSpec]:
-    """Return candidates of mixed quality."""
+    """Return the simulated data sets of this package: candidates for control, some of them wrong.
+    """
     return [DatasetSpec(
         DATASET_NAME, "simulated IKONOS scene of Hamedan, 1 m: 240 points; of 160 for control and "
         "check 40 are inexact and 24 blunders (after Konugurthi et al. "

@@ -107,7 +107,10 @@ class RpcField(RpcAffine):
 
     def predict(self, coefficients: FloatArray, control: FeatureSet,
                 ground: FloatArray) -> FloatArray:
-        """Return image positions by the control points (see `SensorModel.predict`)."""
+        """Return image positions of scaled ground points (n, 3) by the RPC and the control points.
+
+        See `SensorModel.predict`; without a field they are those of the RPC.
+        """
         field = None if len(control.lines) else self.interpolation(control)
         if field is None:
             return self.project(coefficients, ground)

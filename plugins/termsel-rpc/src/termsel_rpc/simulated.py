@@ -79,15 +79,16 @@ def simulate_candidates() -> FeatureSet:
 def simulate_matches(wrong: float = 0.3, seed: int = 0) -> FeatureSet:
     """Return points as image matching finds them in a Cartosat-1 scene, some of them wrong.
 
-    100 control and 100 independent points of the simulated scene "cartosat-hyderabad". Of the
-    control points a share is mismatched, by 5 to 40 px; the others are measured to 0.5 px, and so
-    are the independent ones.
+    They are 100 control and 100 independent points of the simulated scene "cartosat-hyderabad".
+    Some control points are mismatched, by 5 to 40 px; the others are measured to 0.5 px, and so are
+    the independent ones.
 
     Parameters
     ----------
     wrong : float
-        That share, 0 to 1.
+        Share of the control points that are mismatched, 0 to 1.
     seed : int
+        Seed of the scene and of the mismatches.
 
     Returns
     -------

@@ -177,7 +177,12 @@ class LinearCamera(Camera):
 
     def jacobian(self, parameters: FloatArray, local: FloatArray, fixed: Fixed = None,
                  ) -> FloatArray:
-        """Return the derivatives (n, 2, 2m): the columns, in a block for each axis."""
+        """Return the derivatives (n, 2, 2m) of line and sample by all parameters (2m,).
+
+        `local` (n, 3) are positions in the frame of the block [m], and `fixed` is what
+        `first_order` returned of them, if it is known. The first m parameters move lines, the
+        others samples.
+        """
         _, columns = fixed or self.first_order(local)
         n, m = columns.shape
         derivatives = np.zeros((n, 2, 2 * m))

@@ -77,9 +77,10 @@ class ByKnownCamera(Estimator):
                                    control, scaling, used)
 
     def refit(self, fitted: Fit, control: FeatureSet) -> Fit:
-        """Return the fit to other control whose camera a descent from a fit's camera leads to.
+        """Return a fit to other control, whose camera is looked for next to that of a fit.
 
-        Raises Undetermined if it leads to none that has all points in front.
+        `control` is not scaled. Raises Undetermined if the search leads to no camera that has all
+        points in front.
         """
         model = fitted.model
         assert isinstance(model, KnownFrame)

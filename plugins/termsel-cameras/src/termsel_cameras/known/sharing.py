@@ -165,7 +165,9 @@ def _is_near(focal: float, ends: tuple[float, float]) -> bool:
 
 
 def unlike_photos(names: Sequence[object], residuals: Sequence[float]) -> list[str]:
-    """Return the photos whose residuals with a shared camera are far above the median, with these.
+    """Return photos whose residuals with a shared camera are far above the median of all photos.
+
+    Each is its name with the residual [px]. `residuals` are NaN for photos that were left out.
 
     Examples
     --------

@@ -102,7 +102,7 @@ class Radar(Physical):
 
     @property
     def annotation(self) -> Annotation:
-        """What the file says.
+        """The annotation of the image: orbit, timing and lattice.
 
         Raises
         ------

@@ -58,7 +58,7 @@ class TrackedScanner(Physical):
 
     @property
     def metadata(self) -> Metadata:
-        """What the file says.
+        """The metadata of the image: orbit, attitude and look angles.
 
         Raises
         ------

@@ -60,7 +60,7 @@ def text_of(paper: Paper) -> str:
 
 
 def paper_of_text(text: str) -> Paper:
-    """Return what a column states of a sheet.
+    """Return what a column of points states of the paper of their sheet (see `text_of`).
 
     Raises
     ------

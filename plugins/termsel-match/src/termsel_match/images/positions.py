@@ -67,11 +67,11 @@ def _boxes_overlap(first: FloatArray, second: FloatArray) -> bool:
 
 
 def _grid_in_degrees(path: Path) -> FloatArray | None:
-    """Return longitudes and latitudes, (n, 2), of a grid over a raster.
+    """Return longitudes and latitudes, (n, 2) [deg], of a grid over a raster.
 
-    A grid, as the corners alone would leave out a pole in the middle, and edges that bulge. None if
-    the raster has no position, or its CRS cannot be transformed to degrees.
+    None if the raster has no position, or its CRS cannot be transformed to degrees.
     """
+    # The corners alone would not show a pole in the middle, nor edges that bulge.
     with open_raster(path) as raster:
         if raster.crs is None or raster.transform.is_identity:
             return None

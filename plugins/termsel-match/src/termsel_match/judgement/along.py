@@ -51,10 +51,10 @@ class Along:
 
 
 def steady_model(selected: SelectedCandidates) -> Fit:
-    """Return a model that does not run away beyond the candidates.
+    """Return a model that stays close to the candidates' beyond them, fitted to those that agree.
 
-    It is the selected one; only in place of a correction that is smooth along the lines comes the
-    drift fitted to the same candidates.
+    It is a drift of the RPC if the selected model is smooth along the lines, as such a correction
+    may take any value beyond the candidates; else it is the selected model itself.
     """
     correction = selected.correction
     if correction.model != "rpc-jitter":

@@ -25,14 +25,18 @@ _VERMILION = (0, 94, 213)
 
 
 def draw(image: Path | str, selected: SelectedCandidates, path: Path) -> None:
-    """Write the picture, as PNG.
+    """Draw the candidates over a reduced image, with their residuals, and write it as a PNG.
+
+    Arrows are the residuals of the candidates that agree, and crosses are the others.
 
     Parameters
     ----------
     image : path-like
-    selected : Selected
+        The image that was matched.
+    selected : SelectedCandidates
+        The model, and which candidates agree with it.
     path : pathlib.Path
-        It is written whole or not at all.
+        File of the picture, which is written whole or not at all.
 
     Raises
     ------

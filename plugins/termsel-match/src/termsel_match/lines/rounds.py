@@ -142,7 +142,7 @@ def iterate_lines(
     folder: Path | str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Matched:
-    """Match lines, select those that agree, and match again from their model until it stays.
+    """Match lines, select those that agree, and match again from their model until it settles.
 
     Parameters
     ----------

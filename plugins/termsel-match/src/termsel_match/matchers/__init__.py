@@ -71,9 +71,9 @@ class Matches:
 
 
 def fault_of_matches(matcher: Matcher, value: Any, *_windows: Any) -> str | None:
-    """Return what is wrong with the value that a matcher returned, after "match()".
+    """Return what is wrong with the value that a matcher returned; None if nothing is.
 
-    None if nothing is.
+    It is a clause that follows "match()" in a sentence, such as "returned int; expected Matches".
     """
     if not isinstance(value, Matches):
         return f"returned {type(value).__name__}; expected Matches"
@@ -116,7 +116,7 @@ class Matcher(Configurable, ABC):
 
     @abstractmethod
     def match(self, first: Window, second: Window, search: float) -> Matches:
-        """Return places that look alike.
+        """Return pairs of positions in two windows at which both look alike.
 
         Parameters
         ----------

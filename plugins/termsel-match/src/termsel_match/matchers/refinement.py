@@ -125,9 +125,25 @@ def _is_known(is_known: Mask, at: FloatArray, margin: int = 0) -> Mask:
 
 def _solve_steps(smooth: list[FloatArray], template: FloatArray, position: FloatArray,
                  window: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return steps (n, 2), standard deviations (n, 2) and correlations (n,) at places.
+    """Return a step of least squares for each of n matches, and how well both windows agree there.
 
-    Templates have the shape (n, c, p): p pixels of c layers.
+    Parameters
+    ----------
+    smooth : list of ndarray, shape (lines, samples)
+        The c layers of the second window, as coefficients of cubic splines.
+    template : ndarray, shape (n, c, p)
+        The p pixels around each keypoint in the layers of the first window.
+    position : ndarray, shape (n, 2)
+        Line and sample in the second window at which the steps begin [px].
+    window : ndarray, shape (p, 2)
+        Offsets of the p pixels from the middle of a template [px].
+
+    Returns
+    -------
+    steps, deviations : ndarray, shape (n, 2)
+        Steps of line and sample, and standard deviations of the position [px].
+    correlations : ndarray, shape (n,)
+        Correlation of each template with the second window at its position.
     """
     count, layers, size = template.shape
     width = round(size ** 0.5)
