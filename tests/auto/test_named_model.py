@@ -76,6 +76,27 @@ def test_a_degree_that_was_given_is_not_lowered() -> None:
     assert "--model" in str(caught.value.hint) or "--method" in str(caught.value.hint)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_names_of_one_model_have_one_prediction(seed: int) -> None:
+    """Of five points any four leave heights that a plane nearly explains, but the model has them.
+    """
+    rng = np.random.default_rng(seed)
+    ground = rng.uniform([5e5, 5e6, 0.0], [509e3, 5009e3, 400.0], (5, 3))
+    image = ground @ np.array([[0.01, 0.3], [-0.3, 0.01], [0.1, 0.2]]) + [1.5e6, -2e5]
+    features = FeatureSet(termsel.Points(tuple("ABCDE"), image + rng.normal(0.0, 2.0, (5, 2)),
+                                         ground), crs="EPSG:32633")
+    first = termsel.run(features=features, model="affine").predicted
+    second = termsel.run(features=features, model="poly3d", options={"degree": 1}).predicted
+    assert first is not None
+    assert second is not None
+    assert (second.rmse, second.low, second.high) == pytest.approx(
+        (first.rmse, first.low, first.high), rel=1e-6)
+    # As without a repeated choice: all terms are fitted to each four points.
+    fitted = termsel.fit(features, "affine").leave_one_out_rmse()
+    assert fitted is not None
+    assert first.rmse == pytest.approx(fitted.total, rel=1e-3)
+
+
 @pytest.mark.parametrize(("model", "count", "says"), [
     ("affine", 4, "4 points determine the model exactly"),
     ("helmert2d", 2, "2 points determine the model exactly"),

@@ -80,7 +80,8 @@ def as_far_as_determined(auto: Auto, data: FitData) -> tuple[Auto, str]:
 
 
 def _built_in(named: NamedModel, data: FitData) -> Method:
-    """Return the built-in method that fits the same terms to the same features, or the method."""
+    """Return the method by the names of the built-in one that fits the same terms, if there is one.
+    """
     model = named.sensor_model
     for method in METHODS:
         own_model = method.model(data.heights)
@@ -89,7 +90,11 @@ def _built_in(named: NamedModel, data: FitData) -> Method:
                 and all(own_model.options[name] == model.options[name] for name in named.given)
                 and method.estimator == LEAST_SQUARES and method.is_plain
                 and method.declines(data) is None):
-            return method
+            # Not the built-in method itself, which leaves heights out of parts of the features
+            # where they look plane: each part is fitted with all terms of the model that was named.
+            return replace(named, name=method.name, title=method.title, short=method.short,
+                           with_heights=own_model, without=own_model, is_plain=method.is_plain,
+                           central=method.central)
     return named
 
 
