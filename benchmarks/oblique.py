@@ -92,19 +92,21 @@ class Camera:
         rays /= np.linalg.norm(rays[:, :2], axis=1)[:, None]
         reach = ALTITUDE / np.maximum(-rays[:, 2], np.tan(LOWEST_RAY))
         found = np.full((len(image), 3), np.nan)
-        for i in np.flatnonzero(-rays[:, 2] > np.tan(LOWEST_RAY)):
+        seen = np.flatnonzero(-rays[:, 2] > np.tan(LOWEST_RAY))
+        low, high = np.empty(len(seen)), np.empty(len(seen))
+        for k, i in enumerate(seen):
             steps = np.linspace(0.0, 1.001, 4001) * reach[i]
+            # No ground is higher than the relief, so only the rest of the ray may be under it.
+            steps = steps[max(np.argmax(steps * rays[i, 2] + ALTITUDE <= self.relief) - 1, 0):]
             places = steps[:, None] * rays[i] + [0.0, 0.0, ALTITUDE]
-            under = np.flatnonzero(places[:, 2] <= self.heights(places[:, :2]))
-            low, high = steps[max(under[0] - 1, 0)], steps[under[0]]
-            for _ in range(40):
-                middle = (low + high) / 2
-                place = middle * rays[i] + [0.0, 0.0, ALTITUDE]
-                if place[2] <= self.heights(place[None, :2])[0]:
-                    high = middle
-                else:
-                    low = middle
-            found[i] = high * rays[i] + [0.0, 0.0, ALTITUDE]
+            under = np.argmax(places[:, 2] <= self.heights(places[:, :2]))
+            low[k], high[k] = steps[max(under - 1, 0)], steps[under]
+        for _ in range(40):
+            middle = (low + high) / 2
+            places = middle[:, None] * rays[seen] + [0.0, 0.0, ALTITUDE]
+            is_under = places[:, 2] <= self.heights(places[:, :2])
+            low, high = np.where(is_under, low, middle), np.where(is_under, middle, high)
+        found[seen] = high[:, None] * rays[seen] + [0.0, 0.0, ALTITUDE]
         return found
 
 

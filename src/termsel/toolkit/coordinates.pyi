@@ -3,6 +3,7 @@ from termsel.data.coordinates.crs import LOCAL as LOCAL
 from termsel.data.coordinates.crs import begins_as_crs as begins_as_crs
 from termsel.data.coordinates.crs import body_of as body_of
 from termsel.data.coordinates.crs import horizontal_crs as horizontal_crs
+from termsel.data.coordinates.crs import is_crs as is_crs
 from termsel.data.coordinates.crs import is_geographic as is_geographic
 from termsel.data.coordinates.crs import normalise as normalise
 from termsel.data.coordinates.crs import plane_transformer as plane_transformer

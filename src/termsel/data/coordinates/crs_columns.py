@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 
-from termsel.core.errors import TermselError
-from termsel.data.coordinates.crs import UTM, normalise, short_crs_name
+from termsel.data.coordinates.crs import UTM, is_crs, normalise, short_crs_name
 from termsel.data.features import FeatureSet
 from termsel.data.tables.columns import fold_name
 
@@ -92,7 +91,5 @@ def _crs_of_zone(text: str) -> str:
 
 def _crs_of_code(text: str) -> str:
     """Return the CRS of a code or a name; or ""."""
-    try:
-        return normalise(f"EPSG:{text}" if text.isdecimal() else text)
-    except TermselError:
-        return ""
+    name = f"EPSG:{text}" if text.isdecimal() else text
+    return normalise(name) if is_crs(name) else ""

@@ -22,7 +22,7 @@ from warnings import catch_warnings, simplefilter
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
 from termsel.toolkit import ONCE, read_text, require_import, write_text
-from termsel.toolkit.coordinates import begins_as_crs, horizontal_crs, normalise
+from termsel.toolkit.coordinates import begins_as_crs, horizontal_crs, is_crs, normalise
 from termsel.toolkit.files import (
     IMAGE_NAME,
     LARGEST_IMAGE,
@@ -179,16 +179,11 @@ def _crs_row(rows: list[tuple[int, str]]) -> int | None:
     """
     for i, (_, text) in enumerate(rows):
         statement = text.removeprefix("#").strip()
-        try:
-            normalise(statement)
-        except TermselError:
-            # What looks like a CRS but is none counts as one, so that `_read_marks` names it.
-            if begins_as_crs(statement) or _CODE.fullmatch(statement):
-                return i
-            if not text.startswith("#"):
-                return None
-        else:
+        # What looks like a CRS but is none counts as one, so that `_read_marks` names it.
+        if begins_as_crs(statement) or _CODE.fullmatch(statement) or is_crs(statement):
             return i
+        if not text.startswith("#"):
+            return None
     return None
 
 
