@@ -71,6 +71,16 @@ def test_flags_in_either_sense_are_named_with_a_command(tmp_path: Path,
     assert off_in(path, columns="enabled=status") == ["B"]
 
 
+@pytest.mark.parametrize(("name", "cells"), [
+    ("check", "0 1 0 1"), ("Is CP", "no yes no yes"), ("检查点", "否 是 否 是")])
+def test_flags_of_check_points_are_named_with_an_option(
+        name: str, cells: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    assert off_in(table(tmp_path, (name, cells))) == []
+    true_word = cells.split()[1]
+    assert (f"column {name!r} is not read: if {true_word} stands for a check point, --role "
+            "ID=independent") in caplog.text
+
+
 def test_roles_by_another_name_are_named_with_a_command(tmp_path: Path,
                                                         caplog: pytest.LogCaptureFixture) -> None:
     path = table(tmp_path, ("tipo", "Control Check Control Independent"))

@@ -24,14 +24,17 @@ _WORDS = {
                   "disable rejected reject isrejected skip deleted ausreisser ausgeschlossen "
                   "ignorieren gesperrt aberrant exclu ignorer excluido excluir ignorar atipico "
                   "escluso ignorato исключить исключена выкл выброс 排除 禁用 粗差",
-    "either": "status state flag estado stato statut zustand статус"}
+    "either": "status state flag estado stato statut zustand статус",
+    "checks": "check ischeck checkpoint ischeckpoint checkpt cp iscp validation test istest "
+              "testpoint independent isindependent holdout kontrollpunkt prufpunkt pruefpunkt "
+              "verificacion verifica controle контроль контрольная 检查点 检核点"}
 """Cells that stand for true and false, and names of columns: without accents, signs and capitals.
 
 Columns "in use" are true for rows in use, those "out of use" for the others; programs use "either"
-in both senses.
+in both senses. Those of "checks" may be true for independent check points.
 """
 
-_TRUE, _FALSE, _IN_USE, _OUT_OF_USE, _EITHER = (
+_TRUE, _FALSE, _IN_USE, _OUT_OF_USE, _EITHER, _CHECKS = (
     frozenset(words.split()) for words in _WORDS.values())
 
 
@@ -99,8 +102,13 @@ def remarks_on_unread(header: Sequence[str], rows: Sequence[Sequence[str]],
                                   for word in words):
             remarks.append(f"column {name!r} looks like roles ({', '.join(words[:4])}) and is not "
                            f"read: --columns role={name} reads it")
-        elif fold_name(name) in _EITHER and {truth_of(word) for word in words} == {True, False}:
-            in_use = next(word for word in words if truth_of(word))
-            remarks.append(f"column {name!r} is not read: if {in_use} stands for a row in use, "
+        if {truth_of(word) for word in words} != {True, False}:
+            continue
+        true_word = next(word for word in words if truth_of(word))
+        if fold_name(name) in _EITHER:
+            remarks.append(f"column {name!r} is not read: if {true_word} stands for a row in use, "
                            f"--columns enabled={name} leaves the others out")
+        elif fold_name(name) in _CHECKS:
+            remarks.append(f"column {name!r} is not read: if {true_word} stands for a check point, "
+                           "--role ID=independent keeps each of them out of the fit")
     return remarks
