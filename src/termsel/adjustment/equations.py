@@ -164,7 +164,7 @@ def _approximate_image(features: FeatureSet, heights: bool) -> FloatArray:
     its line and its sample, a vertex lies on its image line, n'(l, s) = rho.
     """
     def monomials(ground: FloatArray, degree: int) -> FloatArray:
-        """Return the monomials up to degree 1 or 2 at places (n, 3), (n, 4) or (n, 10)."""
+        """Return the monomials up to degree 1, (n, 4), or 2, (n, 10), at places (n, 3)."""
         x, y, z = ground.T if heights else (*ground.T[:2], np.zeros(len(ground)))
         linear = [np.ones_like(x), x, y, z]
         if degree == 1:

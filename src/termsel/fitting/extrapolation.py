@@ -38,7 +38,7 @@ def distance_outside_control(control: FloatArray, ground: FloatArray) -> FloatAr
 def variance_by_heights(used: FeatureSet, scaling: Scaling,
                         project: Callable[[FloatArray], FloatArray],
                         ground: FloatArray) -> FloatArray:
-    """Return the variance of unknown effects of heights at places (m, 3), (m, 1) [px^2].
+    """Return the variance (m, 1) [px^2] of unknown effects of heights at places (m, 3).
 
     It is 0 where the control in use shows the effect of heights, and where the model knows it:
     `project` then puts places of unlike heights at unlike image positions.
@@ -52,7 +52,8 @@ def variance_by_heights(used: FeatureSet, scaling: Scaling,
 def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator[str]:
     """Yield sentences on selection points and image corners far outside the control, if any.
 
-    Of the control, features in the adjustment count: `used`, shape (len(control),).
+    The mask `used` (n,) marks the features of the control that are in the adjustment; others do not
+    count.
     """
     control_centres = feature_centres(control)[used]
     groups = []

@@ -377,7 +377,7 @@ class Fit(Glance):
         return image
 
     def _compute_positions(self, ground: FloatArray) -> FloatArray:
-        """Return image positions of places (n, 3), (n, 2) [px], be they behind the camera or not.
+        """Return image positions (n, 2) [px] of places (n, 3), be they behind the camera or not.
         """
         # In scaled coordinates throughout; pixels are made of the result alone.
         scaled = self.model.predict(self.adjustment.coefficients, self._scaled_used,

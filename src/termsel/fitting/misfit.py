@@ -380,7 +380,7 @@ class Misfit:
         return total
 
     def _trend_at(self, image: FloatArray) -> FloatArray:
-        """Return the columns of a cubic trend at places in the image (m, 2), (m, 10).
+        """Return the columns (m, 10) of a cubic trend at places (m, 2) in the image.
 
         A place beyond the control has the trend of the nearest place in the box of the control.
         """

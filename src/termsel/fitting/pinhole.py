@@ -387,7 +387,7 @@ class Pinhole:
                            self.sigma)
 
     def factors(self, ground: FloatArray) -> FloatArray:
-        """Return factors F of the covariance F F' of the image of scaled places (m, 3), (m, 2, 9).
+        """Return factors F (m, 2, 9) of the covariance F F' of the image of scaled places (m, 3).
         """
         design, _ = self.measured.system(self.camera, np.ones((1, len(self.measured.image))),
                                          self.sigma)

@@ -235,7 +235,10 @@ def _range_of_heights(fitted: Fit) -> tuple[float, float]:
 
 def _places_in_image(fitted: Fit,
                      heights: tuple[float, float] | None) -> tuple[FloatArray, FloatArray]:
-    """Return places all over the ground of the control that lie in the image, (n, 3), (n, 2) [px].
+    """Return places (n, 3) all over the ground of the control, and where they are in the image.
+
+    The image positions are (n, 2) [px]; places outside the image are left out. `heights` are the
+    least and the largest height, None for those of the control.
     """
     # A fixed seed: the same fit has the same RPC.
     share = np.random.default_rng(0).uniform(-1.0, 1.0, (1000, 3))

@@ -166,7 +166,8 @@ class Reader(Configurable, ABC):
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
         """Return the options that read each part of a file that has several, by name.
 
-        Such as the maps of a page, which a study takes one by one. Empty for other files.
+        Parts are the maps of a page, for example, which a study takes one by one. A file without
+        parts gives {}.
         """
         # A file of one part needs no option.
         return {}

@@ -132,8 +132,9 @@ class Dem:
         return np.asarray(inside.all(axis=1))
 
     def extent(self) -> FloatArray:
-        """Return [[least x, least y], [greatest x, greatest y]] of the raster's corners, as ground
-        coordinates.
+        """Return least x and y, then greatest x and y, of the raster's corners, shape (2, 2).
+
+        They are ground coordinates in the CRS of the control.
         """
         bounds = self.raster.bounds
         # By the four corners, in any order: between them the edges may bulge in the other CRS, but

@@ -221,8 +221,8 @@ class SensorModel(Configurable, ABC):
     def known_image(self) -> KnownImage | None:
         """Return size and area of the image where the model knows them before it is fitted.
 
-        As by the metadata of a product: then few points, and one already, are enough for all of the
-        image. None, the default, leaves it to the features.
+        The metadata of a product may state them: then few points, and one already, are enough for
+        all of the image. None, the default, leaves it to the features.
         """
         return None
 

@@ -397,10 +397,11 @@ Taken = Callable[[Any], list[Any]]
 
 def call(hook: str, slots: Sequence[Slot], accept: Taken, arguments: Arguments | None = None,
          seconds: float | None = None) -> Answers:
-    """Call a hook of all plugins that implement it, the slots, through pluggy.
+    """Return what the plugins of `slots`, which implement a hook, answer to it, through pluggy.
 
-    `accept` raises TypeError for what a plugin may not return. Each plugin may take so many
-    seconds, by default as long as an import.
+    `arguments` are those of the hook, by name. `accept` makes a list of a plugin's answer, and
+    raises TypeError for what a plugin may not return. Each plugin may take so many seconds, by
+    default as long as an import. Plugins that fail are among the faults of the answers.
     """
     answers = Answers()
     if not slots:

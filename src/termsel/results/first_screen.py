@@ -548,8 +548,8 @@ def _points_compare_better(record: Record) -> bool:
 def _conventional_rmse(record: Record, row: BaselineRow) -> Iterator[str]:
     """Yield the RMSE of the conventional fit, of all terms to all control, at independent points.
 
-    Nothing if that is not known or is the record's own fit. The text says what the record's fit
-    lacks: "all 24 points" if it left out features, else "all 12 terms".
+    Nothing is yielded if that is not known, or if the fit is the record's own. The text says what
+    the record's fit lacks: "all 24 points" if it left out features, else "all 12 terms".
     """
     total = row.rmse.independent.total
     if total is None or not row.determined or record.solver == row.name:

@@ -41,7 +41,8 @@ def _offline_class(kind: Any) -> type:
     def bundle(self: Any, *args: Any, **kwds: Any) -> Any:
         """Return the chart as HTML and text by MIME type, or as Altair shows it.
 
-        As Altair does where the user has chosen a renderer of it, or vl-convert is not installed.
+        Altair shows it where the user has chosen one of its renderers, and where vl-convert is not
+        installed.
         """
         if require_altair().renderers.active != "default" or find_spec("vl_convert") is None:
             return kind._repr_mimebundle_(self, *args, **kwds)

@@ -200,7 +200,7 @@ def _certificate_sentence(certificate: Certificate, exact: str) -> str:
 def _front_and_proofs(record: Record, view: View | None, picture: str) -> Iterator[Block]:
     """Yield the front, or the best so far of each size, and proofs of their members.
 
-    Nothing for a record that has neither.
+    Nothing is yielded for a record that has neither.
     """
     front = record.front
     by_size = record.by_size

@@ -109,7 +109,8 @@ class View:
     def worst(self) -> list[Row]:
         """Features by the largest residual of their vertices, the largest first.
 
-        Where residuals are too many to be drawn, only those of the LARGEST_RESIDUALS largest.
+        Where residuals are too many to be drawn, only the features of the LARGEST_RESIDUALS largest
+        ones are among them.
         """
         largest: dict[str, Row] = {}
         are_all_drawn = self._drawn_residuals is self.residuals

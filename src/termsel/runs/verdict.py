@@ -280,10 +280,11 @@ def judge_independent(observations: Observations, choice: Choice | None, auto: A
                       of_others: Verdict | None = None) -> tuple[Verdict, Observations]:
     """Return the verdict on independent points, and the observations without its blunders.
 
-    They stay in all figures, next to which those without them are given. `choice` is that of
-    control and check without blunders, from several methods: where the chosen model knows the image
-    beforehand, as a vendor's RPC does, it knows of a single point whether it is wrong. `of_others`
-    is the verdict on control and check: as many blunders may be among independent points.
+    Blunders stay in all figures; figures without them are given next to these. `choice` is the
+    choice of a method from control and check without blunders. Where the chosen model knows the
+    image beforehand, as a vendor's RPC does, it knows of a single point whether it is wrong.
+    `of_others` is the verdict on control and check: where more than a third of these are blunders,
+    as many may be among the independent points.
     """
     points = observations.independent
     suspects = None
@@ -325,7 +326,8 @@ def judge_independent(observations: Observations, choice: Choice | None, auto: A
 def _limit_of_blunders(count: int, of_others: Verdict | None) -> float:
     """Return how many of some points may be blunders, before the model is in doubt.
 
-    A third, or as many as are likely where more than a third of the other points are blunders.
+    That is a third of them, or as many as are likely where more than a third of the other points
+    are blunders.
     """
     most = MAX_BLUNDER_SHARE * count
     if of_others is None or of_others.test is None:

@@ -173,7 +173,8 @@ SUITE = Suite((declaration, declines, nearly, fits, holds_out, repeats, describe
 def _held_out_squares(method: Method, control: FitData) -> np.ndarray | None:
     """Return the squared errors of the first points, each under the fit without it.
 
-    At most HELD_OUT points; None if the method is not determined without one of them.
+    These are HELD_OUT points, or all of fewer. Returns None if the method is not determined without
+    one of them.
     """
     points = control.features.points
     squares = []

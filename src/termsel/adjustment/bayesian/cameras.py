@@ -153,10 +153,12 @@ def _simulate_flights(rng: np.random.Generator, heading: FloatArray, latitude: f
 
 
 def scanner_views(positions: FloatArray, azimuth: float, latitude: float) -> tuple[FloatArray, ...]:
-    """Return time and slope across, once (c, m, 2), of places (m, 3) in images of cameras.
+    """Return where c scanners see m places: time [s] and slope across the track, (c, m, 2).
 
-    The azimuth of the scan is clockwise from north [rad]; the latitude is in degrees, or NaN.
-    Cameras that do not see all places are left out.
+    The array is the only one of the tuple. `positions` (m, 3) are the places to the east, north and
+    up of their middle [m]. The azimuth of the scan is clockwise from north [rad]; the latitude is
+    in degrees, NaN if it is not known. Of N_CAMERAS scanners those that do not see all places are
+    left out.
     """
     rng = np.random.default_rng(0)
     n = N_CAMERAS  # a prior is the same for all data
@@ -183,12 +185,13 @@ def scanner_views(positions: FloatArray, azimuth: float, latitude: float) -> tup
 
 def radar_views(positions: FloatArray, azimuth: float, latitude: float, *,
                 right: bool) -> tuple[FloatArray, ...]:
-    """Return slant views and ground views (c, m, 2) of places (m, 3) in images of radars.
+    """Return where c radars see m places, in images in slant range and in ground range.
 
-    Both have the time [s] first, at which a place is nearest. Then slant views have the range along
-    the ray [m], and ground views the angle at the Earth's centre [rad] that a sphere at the height
-    of the middle gives it. Radars look to the right or to the left of the flight; the azimuth of
-    lines is clockwise from north [rad]; the latitude is in degrees, or NaN.
+    Both arrays (c, m, 2) have first the time [s] at which a place is nearest. Second is, in slant
+    range, the range along the ray [m] and, in ground range, the angle at the Earth's centre [rad]
+    that a sphere at the height of the middle gives it. `positions` (m, 3) are as for
+    `scanner_views`. Radars look to the right or to the left of the flight; the azimuth of lines is
+    clockwise from north [rad]; the latitude is in degrees, NaN if it is not known.
     """
     rng = np.random.default_rng(0)
     n = N_CAMERAS // 2
@@ -230,7 +233,10 @@ def _cosine_at_centre(orbit_radius: FloatArray, surface: FloatArray,
 
 
 def frame_views(positions: FloatArray, azimuth: float) -> tuple[FloatArray, ...]:
-    """Return slopes of places in photos of N_CAMERAS frame cameras (see `scanner_views`)."""
+    """Return where c frame cameras see m places: the slopes of their rays, (c, m, 2).
+
+    Arguments and result are as for `scanner_views`.
+    """
     rng = np.random.default_rng(0)
     n = N_CAMERAS
     extent = 2.0 * np.abs(positions[:, :2]).max()

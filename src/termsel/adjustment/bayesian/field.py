@@ -546,7 +546,7 @@ def _covariances_with_knots(positions: FloatArray, knots: FloatArray,
 
 def _field_variances(positions: FloatArray, knots: FloatArray,
                      lengths: tuple[float, float]) -> FloatArray:
-    """Return the variances of a field at places (m, 2), (m,); its scale is another factor."""
+    """Return the variances (m,) of a field at places (m, 2); its scale is another factor."""
     if lengths != SPLINE_LENGTHS:
         return np.ones(len(positions))
     return spline_field(knots).variances(positions)

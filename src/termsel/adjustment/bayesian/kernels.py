@@ -100,7 +100,7 @@ class SplineColumns:
         return self.combined(coefficients)(positions)
 
     def combined(self, coefficients: FloatArray) -> Callable[[FloatArray], FloatArray]:
-        """Return a function that gives the columns at places times coefficients (k, a), (m, a).
+        """Return a function from m places to their columns times `coefficients` (k, a), (m, a).
 
         Around knots they are first turned into coefficients of the kernels and of the affine
         functions that the columns lack: fewer operations than the columns of many places.

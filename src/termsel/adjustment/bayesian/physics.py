@@ -127,8 +127,7 @@ class CameraPriors:
                        size=self.size[which], share=self.share[which])
 
     def covariance_times(self, vectors: FloatArray) -> FloatArray:
-        """Return the covariance of each of the p priors times its row of `vectors` (p, c), (p, c).
-        """
+        """Return the covariance of each of the p priors times its row of `vectors`, both (p, c)."""
         # Cov v = w^2 C v + s^2 D^2 v, without the sum of the matrices.
         by_views = (self.covariances[self.view] @ vectors[..., None])[..., 0]
         return np.asarray(self.width[:, None] ** 2 * by_views
@@ -322,7 +321,7 @@ class CameraSolutions:
         return np.asarray(2 * N_FREE + (self.share * explained).sum(axis=1))
 
     def spread(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return variances of the prediction at places (m, k), (p, m, 2), and of noise, (p,).
+        """Return the variance (p, m, 2) of the prediction at m places, and (p,) of the noise.
 
         `columns` (m, k) are the monomials at the places and p counts the priors. The free
         coefficients, of an affine image, have a variance by the noise alone; of the others the

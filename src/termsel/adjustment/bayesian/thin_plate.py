@@ -95,7 +95,7 @@ class ThinPlates:
         return np.asarray(affine + self._field_at(ground))
 
     def spread(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the variance of the prediction at places (m, 3), (m, 2), and of the noise, (2,).
+        """Return the variance (m, 2) of the prediction at places (m, 3), and (2,) of the noise.
 
         They are those of the random field whose best prediction the spline is.
         """

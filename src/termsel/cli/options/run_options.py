@@ -378,9 +378,9 @@ _COMMENTS = 20
 def with_files(files: Sequence[Path], arguments: Mapping[str, Any]) -> dict[str, Any]:
     """Return the arguments with each of `files`, given without an option, under the option for it.
 
-    These are the image, RPC, heights, lines or points. An image that is given so, without any
-    points, lines, areas, data set or problem, is also taken for the file of points: those that it
-    holds.
+    A file may be the image, the RPC, heights, lines or points. An image that is given without any
+    points, lines, areas, data set or problem is also taken for the file of points, as it may hold
+    some.
 
     Raises
     ------

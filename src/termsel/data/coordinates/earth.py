@@ -321,7 +321,10 @@ def note_on_utm_zone(crs: str, features: FeatureSet) -> str:
 
 def is_inside(position: tuple[float, float], area: tuple[float, float, float, float],
               margin: float) -> bool:
-    """Return whether a position is within an area and a margin around it [deg]."""
+    """Return whether a position is within an area and a margin around it [deg].
+
+    The position is longitude and latitude; the area has the bounds west, south, east and north.
+    """
     lon, lat = position
     west, south, east, north = area
     # Areas may lie across the 180 degree meridian, with west larger than east.

@@ -58,7 +58,7 @@ def ground_centres(control: FeatureSet) -> FloatArray:
 
 
 def distance_beyond_hull(control: FloatArray, positions: FloatArray) -> FloatArray:
-    """Return how far positions (m, 2) are outside the convex hull of the control (n, 2), (m,).
+    """Return how far, (m,), positions (m, 2) are outside the convex hull of the control (n, 2).
 
     That is the largest distance from a side of the hull, divided by the longer side of the
     control's box. It is 0 inside, and infinite if the control has no hull.

@@ -186,7 +186,7 @@ def candidate_bars(view: View) -> Any:
     """Return a chart of the strategy auto's candidates, with their leave-one-out RMSE.
 
     The best is on top. Candidates without such an RMSE are left out.
-    Only for a record that has a strategy.
+    The record must have a strategy.
     """
     alt = require_altair()
     strategy = view.record.strategy

@@ -84,7 +84,10 @@ class Ebic(Criterion):
         return total
 
     def subset_cost(self, scores: FloatArray, system: SubsetSystem) -> FloatArray:
-        """Return the criterion of one part (see `Criterion.subset_cost`)."""
+        """Return the criterion of the best selection of each size, (k + 1,), of one part.
+
+        `scores` (k + 1,) are the sums of squared residuals of these selections.
+        """
         m, k = system.design.shape
         axes = system.target.shape[1]
         sizes = np.arange(len(scores))

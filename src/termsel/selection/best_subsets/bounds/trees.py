@@ -60,10 +60,10 @@ def tree_of(control: FloatArray, guard: FloatArray, lengths: FloatArray, margin:
             used: int) -> tuple[Tree, FloatArray]:
     """Return a tree at its root, and the guard's denominators of its columns.
 
-    Control rows (m, k + r) are of columns and targets. The guard (g, k + 1) is of denominators at
-    guard points: those of the columns, and minus what they are without any. The columns are made 1
-    long from their lengths (k,); the margin is the least denominator; the first columns are in use
-    for good.
+    The rows of `control` (m, k + r) have the k columns and the r targets. Those of `guard`
+    (g, k + 1) have what each column adds to the denominator at a guard point, and last minus the
+    denominator without any column. Columns are divided by their `lengths` (k,). `margin` is the
+    least denominator; the first `used` columns are in every subset.
     """
     k = guard.shape[1] - 1
     g = len(guard)
