@@ -68,7 +68,7 @@ def test_a_method_next_to_a_solver_is_refused(scene: FeatureSet) -> None:
 
 
 @pytest.mark.parametrize(("asked", "words"), [
-    ({"method": "nonsense"}, "unknown method"), ({"method": 3}, "3 is no method"),
+    ({"method": "nonsense"}, "unknown method"), ({"method": 3}, "method is 3, expected a name"),
     ({"method": "affine", "strategy": "auto"}, "and a strategy")])
 def test_what_is_no_method_is_refused(scene: FeatureSet, asked: dict[str, object],
                                       words: str) -> None:

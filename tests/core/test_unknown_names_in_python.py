@@ -2,6 +2,7 @@
 
 import re
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import termsel
 import termsel.toolkit
+from termsel.core.python_words import in_python
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
@@ -116,18 +118,87 @@ def test_run_refuses_a_value_of_the_wrong_kind_before_it_reads(
         termsel.run(features="nowhere.csv", **arguments)
 
 
-def test_messages_that_name_an_option_name_the_argument_too(tmp_path: Path) -> None:
+def test_messages_to_python_name_arguments_and_no_options(tmp_path: Path) -> None:
     table = tmp_path / "points.csv"
     table.write_text("id,x,y,line,sample\n" + "".join(
         f"P{i},{500000 + 7 * i * i},{4000000 + 90 * i},{i * 3},{i * i}\n" for i in range(9)))
-    with pytest.raises(termsel.TermselError, match=re.escape("in Python crs=")):
-        termsel.run(features=table)
     out = tmp_path / "result"
     result = termsel.run("poly-terms", generations=1, out=out)
-    with pytest.raises(termsel.TermselError, match=re.escape("in Python overwrite=True")):
-        termsel.run("poly-terms", generations=1, out=out)
-    with pytest.raises(termsel.TermselError, match=re.escape("in Python overwrite=True")):
-        termsel.export(result, "points-csv", table)
+    calls: list[tuple[Callable[[], object], str]] = [
+        (lambda: termsel.run(features=table), "State it with crs: EPSG:4979"),
+        (lambda: termsel.read(table, crs="EPSG:32639", columns={"x": "east"}), "column 'east'"),
+        (lambda: termsel.run("poly-terms", generations=1, out=out), "add overwrite=True"),
+        (lambda: termsel.export(result, "points-csv", table), "add overwrite=True"),
+        (lambda: termsel.rectify(result, table, tmp_path / "map.tif", resolution=np.nan),
+         "the resolution of a map cannot be nan"),
+        (lambda: termsel.read(), "Give points=FILE, lines=FILE or areas=FILE")]
+    for call, words in calls:
+        with pytest.raises(termsel.TermselError, match=re.escape(words)) as caught:
+            call()
+        assert "--" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("Leave --crs out, or state --crs EPSG:4979.", "Leave crs out, or state crs='EPSG:4979'."),
+    ("Give --dem FILE or --height 12.5, in Python dem= or height=.",
+     "Give dem=FILE or height=12.5."),
+    ("Add --set swapped=xy; --no-final takes it", "Add options={'swapped': 'xy'}; final=False "
+                                                  "takes it"),
+    ("--solver exact or --method cubic, but --solver is", "solver='exact' or method='cubic', but "
+                                                          "solver is"),
+    ("Of many: termsel compare --points 'a/*.csv' --out DIR. Leave --points out.",
+     "Of many: termsel compare --points 'a/*.csv' --out DIR. Leave features out.")])
+def test_options_become_arguments(text: str, words: str) -> None:
+    assert in_python(text, ("features", "crs", "options", "out")) == words
+
+
+FEATURES = termsel.simulate_scene("ikonos-hamedan")
+RESULT = termsel.run("poly-terms", generations=1)
+
+
+@pytest.mark.parametrize(("call", "words"), [
+    (lambda: termsel.read(5.0), "features cannot be read from the type float"),
+    (lambda: termsel.read("a.csv", lines=5), "lines is 5, expected the name of a file"),
+    (lambda: termsel.read("a.csv", off=["A"]), "off is of the type list, expected a text"),
+    (lambda: termsel.export(RESULT, 5, "a.RPB"), "to is 5, expected a name"),
+    (lambda: termsel.rectify(RESULT, "a.tif", "b.tif", bounds=5),
+     "bounds is 5, expected 4 numbers"),
+    (lambda: termsel.rectify(RESULT, "a.tif", "b.tif", height="1 m"),
+     "height is '1 m', expected a number"),
+    (lambda: termsel.read_result(None), "folder is None, expected the name of a folder"),
+    (lambda: termsel.simulate_scene("ikonos-hamedan", n_points=1.5),
+     "n_points is 1.5, expected a whole number"),
+    (lambda: termsel.compare(workers="2"), "workers is '2', expected a whole number"),
+    (lambda: termsel.write_rpc("a.RPB", "b.RPB"), "rpc is 'a.RPB', expected a termsel.Rpc"),
+    (lambda: termsel.rpc_of(5), "fitted is 5, expected a termsel.Fit"),
+    (lambda: RESULT.project("here"), "ground is 'here', expected an array of numbers"),
+    (lambda: RESULT.locate([[1.0, 2.0]], "high"), "height is 'high', expected an array of numbers"),
+    (lambda: RESULT.fit.rmse([1.0]), "points is of the type list, expected a termsel.Points")])
+def test_an_argument_of_the_wrong_kind_is_named(call: Callable[[], object], words: str) -> None:
+    with pytest.raises(termsel.TermselError, match=re.escape(words)):
+        call()
+
+
+@pytest.mark.parametrize(("call", "words"), [
+    (lambda: termsel.export(RESULT), "export() lacks to and path: export(result, to, path)."),
+    (lambda: RESULT.plot("residuals"), "plot is no function"),
+    (lambda: RESULT.plot.residuals("a.svg"), "residuals() takes 0 arguments by position, not 1. It "
+                                             "returns a chart of Altair")])
+def test_a_call_that_cannot_be_says_what_can(call: Callable[[], object], words: str) -> None:
+    with pytest.raises(TypeError, match=re.escape(words)):
+        call()
+
+
+@pytest.mark.parametrize(("get", "words"), [
+    (lambda: RESULT.predict, "Result has no 'predict'. Image positions are result.project("),
+    (lambda: RESULT.export, "termsel.export(result, FORMAT, PATH) writes it"),
+    (lambda: RESULT.plott, "Did you mean plot?"),
+    (lambda: RESULT.fit.predict, "Image positions are fit.project(ground)"),
+    (lambda: FEATURES.x, "It is features.points.ground[:, 0]."),
+    (lambda: FEATURES.points.lat, "It is points.ground[:, 1].")])
+def test_a_missing_attribute_says_where_it_is(get: Callable[[], object], words: str) -> None:
+    with pytest.raises(AttributeError, match=re.escape(words)):
+        get()
 
 
 def test_a_seed_of_numpy_is_a_seed() -> None:

@@ -133,5 +133,5 @@ def test_the_crs_beside_the_image_is_proposed(tmp_path: Path) -> None:
     with rasterio.open(tmp_path / "scan.tif", "w", driver="GTiff", width=900, height=950, count=1,
                        dtype="uint8", sparse_ok=True):
         pass
-    with pytest.raises(TermselError, match=r"beside the image: --crs .*scan\.prj"):
+    with pytest.raises(TermselError, match=r"beside the image: crs='.*scan\.prj'"):
         termsel.read(tmp_path / "a.csv", image=tmp_path / "scan.tif")

@@ -217,7 +217,7 @@ def test_rows_that_other_programs_count_downwards(
         pass
     path = put(tmp_path, rows((30.5, 20.5), (800, 90), (100, 650)))
     expected = [[20, 30], [89.5, 799.5], [649.5, 99.5]]
-    with pytest.raises(TermselError, match="add --set downwards=true"):
+    with pytest.raises(TermselError, match="add downwards='true'"):
         termsel.read(path, crs="local")
     asked = termsel.read(path, crs="local", downwards=True)
     np.testing.assert_allclose(asked.points.image, expected)
@@ -374,7 +374,7 @@ def test_format_is_forced(tmp_path: Path) -> None:
         termsel.read(path, format="qgis-points")
     with pytest.raises(TermselError, match="Did you mean 'geojson-points'"):
         termsel.read(path, format="geojson-point")
-    with pytest.raises(TermselError, match=r"there are 2 --format for 1 file\."):
+    with pytest.raises(TermselError, match=r"2 formats are given for 1 file\."):
         termsel.read(path, format=["geojson-points", "geojson-points"])
     assert len(termsel.read(path, format="geojson-points").points) == 2
 

@@ -96,7 +96,7 @@ def test_lines_that_were_not_measured_stay_out(tmp_path: Path,
 @pytest.mark.parametrize(("rows", "options", "words"), [
     ("a,1,2,3,4\nc,1,2,3,4\n", {}, "1 of 2 image lines have no ground line: c"),
     ("a,1,2,3,4\n", {"join": "id"},
-     "no property 'id' that names each line. Their properties are name. Say which one does: --set "
+     "no property 'id' that names each line. Their properties are name. Say which one does: "
      "join="),
     ("a,1,2,3,x\n", {}, r"image\.csv, line 2, column 'sample2'"),
     ("a,1,2,1,2\n", {}, "'a' has zero length in the image"),
@@ -110,9 +110,9 @@ def test_what_cannot_be_joined(tmp_path: Path, rows: str, options: dict[str, Any
 
 def test_ground_lines_need_image_lines(tmp_path: Path) -> None:
     path = roads(tmp_path, ("a", "LineString", SQUARE))
-    with pytest.raises(TermselError, match=r"lines on the ground alone.*--image-lines FILE\. Or"):
+    with pytest.raises(TermselError, match=r"lines on the ground alone.*image_lines=FILE\. Or"):
         read(path)
-    with pytest.raises(TermselError, match=r"--image-lines FILE --set join=name\. Or give each "):
+    with pytest.raises(TermselError, match=r"image_lines=FILE join='name'\. Or give each "):
         read(path, join="id")
     with pytest.raises(TermselError, match=r"missing\.csv: this file does not exist"):
         read(path, tmp_path / "missing.csv")

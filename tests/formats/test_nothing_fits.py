@@ -47,4 +47,4 @@ def test_degrees_of_a_country_without_a_crs_may_be_those_of_a_map(
     table.write_text("\n".join(["id,line,sample,lon,lat", *rows]), encoding="utf-8")
     with pytest.raises(termsel.TermselError) as caught:
         termsel.read(table)
-    assert ("--crs auto finds its projection" in str(caught.value)) == is_told
+    assert ("crs='auto' finds its projection" in str(caught.value)) == is_told

@@ -149,7 +149,7 @@ def test_an_image_of_a_table_that_names_none(tmp_path: Path) -> None:
     with pytest.raises(TermselError, match="no point of this file names its image") as caught:
         termsel.read(path, crs="local", image_name="a.jpg")
     assert caught.value.file == path
-    assert "Leave --set image_name=NAME out" in str(caught.value.hint)
+    assert "Leave image_name=NAME out" in str(caught.value.hint)
 
 
 @pytest.mark.parametrize(("scale", "shift", "hint"), [

@@ -97,7 +97,7 @@ def test_without_a_word_it_is_asked(tmp_path: Path, unit: float) -> None:
     path = table(tmp_path, unit)
     with pytest.raises(TermselError, match="z may be in US survey feet") as caught:
         termsel.read(path)
-    assert "--set z_unit=us-ft or --set z_unit=metre" in str(caught.value)
+    assert "z_unit='us-ft' or z_unit='metre'" in str(caught.value)
     assert str(path) in str(caught.value)
     with pytest.raises(TermselError, match="z may be in US survey feet"):
         termsel.run(features=path)

@@ -7,6 +7,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from termsel.core.arguments import explains_arguments
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, Lines, Points
 from termsel.data.record.chances import median_of
 
@@ -67,6 +68,7 @@ class Equations:
         return np.concatenate([self.A, rows]), np.concatenate([self.b, np.zeros(len(rows))])
 
 
+@explains_arguments()
 def line_normals(lines: Lines) -> tuple[FloatArray, FloatArray]:
     """Return the Hesse normal form of image lines.
 
@@ -191,6 +193,7 @@ def _approximate_image(features: FeatureSet, heights: bool) -> FloatArray:
     return np.asarray(of_vertices @ x.T)
 
 
+@explains_arguments()
 def row_weights(features: FeatureSet, *, heights: bool = True) -> FloatArray:
     """Return weights of the rows of points, then of lines, two each.
 
@@ -243,6 +246,7 @@ def row_weights(features: FeatureSet, *, heights: bool = True) -> FloatArray:
     return np.asarray(1.0 / deviation.ravel())
 
 
+@explains_arguments()
 def image_equations(features: FeatureSet, of_points: FloatArray, of_vertices: FloatArray,
                     at_points: FloatArray | float = 0.0, at_vertices: FloatArray | float = 0.0, *,
                     heights: bool = True) -> Equations:

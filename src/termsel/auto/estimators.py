@@ -8,6 +8,7 @@ from termsel.auto.physical import Physical, PinholeCamera
 from termsel.auto.robust import Reweighted
 from termsel.auto.selected import ForwardSelection
 from termsel.auto.shrunken import Averaging, Interpolated, RidgeByOrder
+from termsel.core.arguments import explains_arguments
 from termsel.core.errors import TermselError, unknown_name_error
 from termsel.fitting.fit import Estimator, FixedCoefficients
 from termsel.fitting.least_squares import LeastSquares
@@ -17,6 +18,7 @@ ESTIMATORS: dict[str, type[Estimator]] = {one.name: one for one in (
     PinholeCamera, FixedCoefficients)}
 
 
+@explains_arguments()
 def estimator(name: str, /, **options: Any) -> Estimator:
     """Return a built-in estimator.
 

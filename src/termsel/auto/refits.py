@@ -7,11 +7,13 @@ from collections.abc import Callable
 import numpy as np
 
 from termsel.auto.rule import fold_of_each, folds_of
+from termsel.core.arguments import explains_arguments
 from termsel.data.features import FeatureSet
 from termsel.data.fit_data import FitData
 from termsel.fitting.fit import Fit, HeldOut
 
 
+@explains_arguments()
 def held_out_by_refits(fit: Callable[[FitData], Fit], features: FeatureSet, *,
                        heights: bool | None = None) -> HeldOut:
     """Return the errors of features by fits without them, in folds spread over the scene.

@@ -5,12 +5,15 @@ Python's own message says only that there is none of that name. These say which 
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import wraps
 from inspect import Parameter, signature
-from typing import ParamSpec, TypeVar
+from typing import TYPE_CHECKING, ClassVar, ParamSpec, TypeVar
 
-from termsel.core.errors import count_in_words, likely_names
+from termsel.core.errors import TermselError, count_in_words, likely_names
+from termsel.core.kinds import Kind, kinds_of, wrong_kind_message
+from termsel.core.python_words import in_python
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -25,8 +28,12 @@ Places = Callable[[tuple[object, ...]], str]
 
 def explains_arguments(
         meant: Meant = lambda _name, _value: "", places: Places = lambda _values: "",
+        checked_within: Collection[str] = (),
         ) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Return a decorator of a function: arguments that it does not take are refused with a remedy.
+
+    An argument that is not of the kind which the function declares raises TermselError, one of
+    another name or place, or one that lacks, TypeError.
 
     Parameters
     ----------
@@ -36,36 +43,82 @@ def explains_arguments(
     places : callable, optional
         How the arguments should be given, where there are more of them by position than there are
         places. By default the arguments that have a place are named, and the others.
+    checked_within : collection of str, optional
+        Arguments whose kind the function checks itself, in words that say more.
     """
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         """Return a function that refuses wrong arguments before it calls this one."""
-        parameters = signature(function).parameters
+        parameters = {name: parameter for name, parameter in signature(function).parameters.items()
+                      if parameter.kind is not Parameter.VAR_POSITIONAL}
         names = [name for name, parameter in parameters.items()
                  if parameter.kind is not Parameter.VAR_KEYWORD]
         # A function with **kwargs has names of its own choice, which only it can refuse.
         takes_any = len(names) < len(parameters)
         placed = [name for name in names
-                  if parameters[name].kind is Parameter.POSITIONAL_OR_KEYWORD]
+                  if parameters[name].kind is not Parameter.KEYWORD_ONLY]
+        required = [name for name in names if parameters[name].default is Parameter.empty]
+        kinds: dict[str, Kind] = {}
 
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
-            """Call the function; raise TypeError for too many arguments, or one of another name."""
+            """Call the function; refuse arguments of another number, name or kind first.
+
+            Raises TypeError, or TermselError for one of another kind; errors of the function are in
+            the words of Python.
+            """
             if len(args) > len(placed):
-                count = count_in_words(len(placed), "argument")
-                message = f"{function.__name__}() takes {count} by position, not {len(args)}."
-                remedy = places(args) or _places_in_words(placed, names)
-                raise TypeError(f"{message} {remedy}")
+                raise TypeError(_too_many_message(function.__name__, args, placed, names, places))
+            given = {**dict(zip(placed, args, strict=False)), **kwargs}
             for name, value in {} if takes_any else kwargs.items():
                 if name not in names:
                     message = f"{function.__name__}() has no argument {name!r}."
-                    given = {*placed[:len(args)], *kwargs}
                     remedy = meant(name, value) or _near_names_in_words(name, names, given)
                     raise TypeError(f"{message} {remedy}")
-            return function(*args, **kwargs)
+            if lacking := [name for name in required if name not in given]:
+                raise TypeError(_lacking_message(function.__name__, lacking, [
+                    name for name in required if name != "self"]))
+            if not kinds:
+                # Hints are evaluated once, and not before the function is used.
+                kinds.update(kinds_of(function, {"self", *checked_within}))
+            _refuse_wrong_kinds(given, kinds, required)
+            try:
+                return function(*args, **kwargs)
+            except TermselError as error:
+                # Commands and packages of termsel show an error to whoever typed an option.
+                caller = sys._getframe(1).f_globals.get("__name__", "")
+                if not caller.startswith("termsel"):
+                    error.what = in_python(error.what, names)
+                    error.hint = error.hint and in_python(error.hint, names)
+                raise
 
         return call
 
     return decorate
+
+
+def _refuse_wrong_kinds(given: Mapping[str, object], kinds: Mapping[str, Kind],
+                        required: Collection[str]) -> None:
+    """Raise TermselError for the first argument that is not of its kind."""
+    for name, value in given.items():
+        if name in kinds and not kinds[name].holds(value):
+            remedy = None if name in required else "Correct it, or leave it out."
+            raise TermselError(wrong_kind_message(name, value, kinds[name]), hint=remedy, name=name)
+
+
+def _too_many_message(function: str, args: tuple[object, ...], placed: Sequence[str],
+                      names: Sequence[str], places: Places) -> str:
+    """Return the message for more arguments by position than a function has places."""
+    # That of a method is its object, which nobody writes.
+    own = int(placed[:1] == ["self"])
+    count = count_in_words(len(placed) - own, "argument")
+    remedy = places(args) or _places_in_words(placed[own:], names[own:])
+    return f"{function}() takes {count} by position, not {len(args) - own}. {remedy}"
+
+
+def _lacking_message(function: str, lacking: Sequence[str], required: Sequence[str]) -> str:
+    """Return the message for arguments that a function cannot do without."""
+    shown = ", ".join(required)
+    return f"{function}() lacks {' and '.join(lacking)}: {function}({shown})."
 
 
 def _places_in_words(placed: Sequence[str], names: Sequence[str]) -> str:
@@ -98,6 +151,33 @@ _ALSO_CALLED = {
     "sigma": "Result.sigma", "plan": "termsel plan on the command line",
     "list": "termsel list on the command line", "describe": "termsel describe on the command line"}
 """Names of termsel by what other programs, or its own commands, call them."""
+
+
+class Explained:
+    """Base of objects whose attributes, where one is missing, are explained.
+
+    `elsewhere` has what is meant by names that other programs would have there, or that a user of
+    the command line expects: a sentence by name.
+    """
+
+    elsewhere: ClassVar[Mapping[str, str]] = {}
+
+    # For programs alone: with it a checker of types would take any name.
+    if not TYPE_CHECKING:
+        def __getattr__(self, name: str) -> object:
+            """Raise AttributeError with what is meant by a name."""
+            cls = type(self)
+            # An attribute that is there has failed itself; its own error says why.
+            if hasattr(cls, name):
+                return object.__getattribute__(self, name)
+            message = f"{cls.__name__} has no {name!r}."
+            if not name.startswith("_"):
+                public = [known for known in dir(cls) if not known.startswith("_")]
+                near = likely_names(name, public)
+                question = f"Did you mean {' or '.join(near)}?" if near else ""
+                message = f"{message} {cls.elsewhere.get(name) or question}".rstrip()
+            # With a name of its own, Python adds no guess to that of the message.
+            raise AttributeError(message, name=name)
 
 
 def missing_name_message(module: str, name: str, names: Iterable[str]) -> str:

@@ -6,10 +6,11 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from termsel.core.arguments import explains_arguments
 from termsel.core.display import Glance
 from termsel.core.errors import TermselError, count_in_words
 from termsel.data.arrays import BoolArray as BoolArray
@@ -33,6 +34,18 @@ if TYPE_CHECKING:
     from termsel.data.record.record import ImageFile
 
 ROLES = ("control", "check", "independent", "off")
+
+
+_OF_POINTS: Mapping[str, str] = {
+    "x": "It is points.ground[:, 0].", "y": "It is points.ground[:, 1].",
+    "z": "It is points.ground[:, 2].", "height": "It is points.ground[:, 2].",
+    "lon": "It is points.ground[:, 0].", "lat": "It is points.ground[:, 1].",
+    "longitude": "It is points.ground[:, 0].", "latitude": "It is points.ground[:, 1].",
+    "line": "It is points.image[:, 0].", "sample": "It is points.image[:, 1].",
+    "row": "It is points.image[:, 0].", "column": "It is points.image[:, 1].",
+    "xy": "They are points.ground[:, :2].", "xyz": "They are points.ground.",
+    "names": "They are points.ids."}
+"""Where the coordinates of points are, by what they are called elsewhere."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -70,6 +83,8 @@ class Points(Tabular):
     >>> len(points), points.roles
     (2, ('', ''))
     """
+
+    elsewhere = _OF_POINTS
 
     ids: tuple[str, ...]
     image: FloatArray
@@ -279,6 +294,15 @@ class FeatureSet(Glance):
     (74, 120, 'EPSG:4979')
     """
 
+    elsewhere: ClassVar[Mapping[str, str]] = {
+        **{name: text.replace("points.", "features.points.", 1)
+           for name, text in _OF_POINTS.items()},
+        "gcps": "Points are features.points.", "control": "Points are features.points.",
+        "image": "Image positions are features.points.image, lines and samples.",
+        "ground": "Ground positions are features.points.ground, x, y and z.",
+        "roles": "The roles of points are features.points.roles.",
+        "to_pandas": "Points are a table: features.points.to_pandas()."}
+
     points: Points = field(default_factory=empty_points)
     lines: Lines = field(default_factory=empty_lines)
     crs: str = "local"
@@ -364,6 +388,7 @@ class FeatureSet(Glance):
             return replace(self, points=points)
         return replace(self, points=points, lines=self.lines.take(mask[n:][self.lines.feature]))
 
+    @explains_arguments()
     def texts(self, name: str) -> TextArray:
         """Return a column of attributes of all features.
 
@@ -388,6 +413,7 @@ class FeatureSet(Glance):
         tables = (self.points.attributes, rows_at(self.lines.attributes, first))
         return stack_columns(tables, (len(self.points), len(first)), name)
 
+    @explains_arguments()
     def numbers(self, name: str) -> FloatArray:
         """Return a column of attributes of all features as numbers.
 

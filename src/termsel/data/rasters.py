@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from termsel.core.arguments import explains_arguments
 from termsel.core.errors import GIS, TermselError, require_import
 from termsel.core.files.drivers import (
     NO_PROXY_EXISTS,
@@ -131,6 +132,7 @@ def _quiet_about_encodings() -> Iterator[None]:
         sys.excepthook = uncaught
 
 
+@explains_arguments()
 @contextmanager
 def open_raster(path: Path | str) -> Iterator[Any]:
     """Open a raster for reading.

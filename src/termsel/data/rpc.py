@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 from msgspec import structs
 from numpy.typing import ArrayLike
 
+from termsel.core.arguments import Explained, explains_arguments
 from termsel.core.errors import TermselError
 from termsel.data.arrays import FloatArray
 from termsel.data.locate import Surface, locate
@@ -29,7 +31,7 @@ CHECK_HEIGHTS = "check their unit and sign; leave unknown ones blank, or give --
 
 
 @dataclass(frozen=True)
-class Rpc:
+class Rpc(Explained):
     """Line and sample as quotients of cubic polynomials of longitude, latitude and height.
 
     With X, Y, Z = (ground - ground_offset) / ground_scale,
@@ -77,6 +79,13 @@ class Rpc:
     >>> rpc.project([[11.1, 46.0, 300.0]])  # line and sample [px]
     array([[ 500., 1000.]])
     """
+
+    elsewhere: ClassVar[Mapping[str, str]] = {
+        "predict": "Image positions are rpc.project(ground).",
+        "transform": "Image positions are rpc.project(ground).",
+        "inverse": "Ground positions are rpc.locate(image, height).",
+        "save": "termsel.write_rpc(rpc, PATH) writes it.",
+        "write": "termsel.write_rpc(rpc, PATH) writes it."}
 
     image_offset: tuple[float, float]
     image_scale: tuple[float, float]
@@ -126,6 +135,7 @@ class Rpc:
         """Return the RPC that `numbers` returned these for."""
         return cls(**structs.asdict(numbers))
 
+    @explains_arguments()
     def heights_outside(self, heights: FloatArray) -> str:
         """Return a clause for a message if the median height is far outside the range of the RPC.
 
@@ -161,6 +171,7 @@ class Rpc:
         return (f"the heights of the control, {median:,.0f} m (median){BEYOND_RPC}"
                 f"{middle - half_range:,.0f} to {middle + half_range:,.0f} m")
 
+    @explains_arguments()
     def project(self, ground: ArrayLike) -> FloatArray:
         """Return where ground points are seen.
 
@@ -187,12 +198,14 @@ class Rpc:
         image = np.stack([line, sample], axis=1)
         return np.asarray(image * self.image_scale + self.image_offset)
 
+    @explains_arguments()
     def denominators(self, ground: FloatArray) -> FloatArray:
         """Return the denominators of line and sample at ground points, (n, 2)."""
         away = (ground - self.ground_offset) / self.ground_scale
         below = np.array([self.line_denominator, self.sample_denominator])
         return np.asarray(evaluate_monomials(away, RPC00B) @ below.T)
 
+    @explains_arguments()
     def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
         """Return where the rays of image points reach heights or a surface.
 

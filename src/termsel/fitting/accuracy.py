@@ -17,6 +17,7 @@ import numpy as np
 from msgspec import UNSET
 
 from termsel.adjustment.equations import has_unlike_weights, weights_of
+from termsel.core.arguments import explains_arguments
 from termsel.core.errors import TermselError, count_in_words
 from termsel.data.coordinates.metres import offsets_in_metres
 from termsel.data.features import FeatureSet, FloatArray, IntArray, Points
@@ -111,6 +112,7 @@ MIN_AXIS_RATIO = 0.6
 NO_EXPERIENCE = Experience(0.0, 0)
 
 
+@explains_arguments()
 def ce90(errors: FloatArray) -> FloatArray:
     """Return the circular error of nine in ten points: the 90 % quantile of the distances.
 

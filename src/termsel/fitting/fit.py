@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from termsel.adjustment.equations import has_unlike_weights, line_normals, weights_of
 from termsel.adjustment.interpolation import Interpolation
 from termsel.adjustment.solve import ROUNDING, Adjustment
+from termsel.core.arguments import explains_arguments
 from termsel.core.display import Glance
 from termsel.core.errors import TermselError
 from termsel.core.threads import one_blas_thread
@@ -271,6 +272,14 @@ class Fit(Glance):
     24
     """
 
+    elsewhere: ClassVar[Mapping[str, str]] = {
+        "predict": "Image positions are fit.project(ground).",
+        "transform": "Image positions are fit.project(ground).",
+        "inverse": "Ground positions are fit.locate(image, heights).",
+        "export": "termsel.run returns a result, which termsel.export writes.",
+        "save": "termsel.run returns a result, which termsel.write_result writes.",
+        "accuracy": "termsel.run returns a result, which has it."}
+
     model: SensorModel
     scaling: Scaling
     control: FeatureSet
@@ -351,6 +360,7 @@ class Fit(Glance):
         return replace(self, estimator=estimator, trace=trace, stored_held_out=None,
                        adjustment=adjustment)
 
+    @explains_arguments()
     def project(self, ground: ArrayLike) -> FloatArray:
         """Return where the image shows ground points.
 
@@ -384,6 +394,7 @@ class Fit(Glance):
                                     self.scaling.ground(ground))
         return self._nan_where_unknown(self.scaling.pixels(scaled), ground)
 
+    @explains_arguments()
     def unseen(self, ground: ArrayLike) -> BoolArray:
         """Return whether ground points lie behind the camera or beyond the horizon, (n,).
 
@@ -426,6 +437,7 @@ class Fit(Glance):
         image[self._is_behind_camera(points)] = np.nan
         return image
 
+    @explains_arguments()
     def above_horizon(self, image: ArrayLike) -> BoolArray:
         """Return whether image points lie above the horizon of the view, (n,).
 
@@ -442,6 +454,7 @@ class Fit(Glance):
             return np.zeros(len(scaled), dtype=bool)
         return self.view.above_horizon(scaled)
 
+    @explains_arguments()
     def holds(self, ground: ArrayLike) -> BoolArray:
         """Return whether a map may show ground points, (n,).
 
@@ -476,6 +489,7 @@ class Fit(Glance):
         """The central projection that the points in use support, of scaled places, or None."""
         return (self.original or self).estimator.view(self._scaled_used, self.scaling)
 
+    @explains_arguments()
     def sigma(self, ground: ArrayLike, *, measured: bool = False) -> FloatArray:
         """Return the standard deviation of the error of `project`.
 
@@ -638,6 +652,7 @@ class Fit(Glance):
         image[~np.isfinite(coordinates).all(axis=1)] = np.nan
         return image
 
+    @explains_arguments()
     def locate(self, image: ArrayLike, heights: ArrayLike | Surface) -> FloatArray:
         """Return the ground points seen at image points.
 
@@ -709,10 +724,12 @@ class Fit(Glance):
         """Return first and last line and sample [px]: of the image, its RPC or the control."""
         return image_extent(self.control, self.model.options, self.model.known_image())
 
+    @explains_arguments()
     def errors(self, points: Points) -> FloatArray:
         """Return measured minus computed line and sample [px], shape (n, 2)."""
         return points.image - self._compute_positions(points.ground)
 
+    @explains_arguments()
     def line_errors(self, lines: Lines | None = None) -> FloatArray:
         """Return the vectors from projected ground vertices of lines to their image lines [px].
 
@@ -844,6 +861,7 @@ class Fit(Glance):
             errors.append(self.line_errors()[selected_lines].reshape(-1, 2))
         return np.concatenate(errors)
 
+    @explains_arguments()
     def rmse(self, points: Points) -> Rmse | None:
         """Return the RMSE of points that took no part in the adjustment; None without points."""
         return rmse_of(self.errors(points), len(points))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from termsel.core.arguments import explains_arguments
 from termsel.core.errors import TermselError
 from termsel.data.coordinates.crs import WGS84, normalise, to_wgs84
 from termsel.data.coordinates.longitudes import nearest_longitudes
@@ -60,6 +61,7 @@ class RpcFit:
     heights: tuple[float, float] | None = None
 
 
+@explains_arguments()
 def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
     """Return the RPC of a fitted model, and its deviation from the model.
 

@@ -78,7 +78,7 @@ def _files_left_alone(writer: Writer, result: Result, path: Path) -> list[Path]:
                 and file.read_bytes() == (folder / file.name).read_bytes()]
 
 
-@explains_arguments()
+@explains_arguments(checked_within=("result",))
 def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False,
            final: bool | None = None, **options: Any) -> tuple[Path, ...]:
     """Write a result in a format known by name.

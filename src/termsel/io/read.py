@@ -17,6 +17,7 @@ from zipfile import is_zipfile
 
 import numpy as np
 
+from termsel.core.arguments import explains_arguments
 from termsel.core.errors import TermselError, count_in_words, unknown_name_error
 from termsel.core.files.atomic import private_folder
 from termsel.core.files.names import JOURNAL, is_there
@@ -96,6 +97,7 @@ _NOISE = bytes(range(1, 256)) * 4
 """What no reader recognises, unless it recognises anything."""
 
 
+@explains_arguments()
 def read(
     points: Any = None,
     lines: Path | str | None = None,
@@ -715,7 +717,7 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
     stated = _stated_crs(crs)
     paths = list(dict.fromkeys(path for path in (points, lines, areas) if path is not None))
     if len(formats) > len(paths):
-        raise TermselError(f"there are {len(formats)} --format for "
+        raise TermselError(f"{len(formats)} formats are given for "
                            f"{count_in_words(len(paths), 'file')}",
                            hint="Give --format once per file, that of the points first.")
     # A file for which no format is given has None, and is recognised by its content.

@@ -64,7 +64,7 @@ _DATUM_PX = 0.1
 """Largest move of a map by the way over WGS84, as an RPC goes, in px of the map."""
 
 
-@explains_arguments()
+@explains_arguments(checked_within=("result",))
 def rectify(
     result: Result,
     image: Path | str,

@@ -96,7 +96,7 @@ def _refuse_taken(folder: Path, overwrite: bool) -> None:
                                 "overwrite=True.")
 
 
-@explains_arguments()
+@explains_arguments(checked_within=("result",))
 def write_result(result: Result, folder: Path | str) -> None:
     """Write result.json, residuals.csv, summary.txt and the features, all of them or none.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TypeVar
 
+from termsel.core.arguments import explains_arguments
 from termsel.core.errors import unknown_name_error
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import registry
@@ -48,6 +49,7 @@ def register(thing: T) -> T:
     return registered
 
 
+@explains_arguments()
 def get(kind: str, name: Any) -> Any:
     """Return the thing that has a name, whoever provides it.
 

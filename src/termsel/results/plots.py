@@ -6,8 +6,9 @@ import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
+from termsel.core.arguments import Explained, explains_arguments
 from termsel.core.errors import TermselError, unknown_name_error
 from termsel.core.files.atomic import write_bytes
 from termsel.results.blocks import Figure
@@ -206,7 +207,7 @@ def styled_chart(view: View, name: str) -> Any:
     return offline_chart(with_theme(kind.draw(view), kind.title, caption))
 
 
-class Plots:
+class Plots(Explained):
     """Charts of a result, each as an Altair chart that can be changed further.
 
     There is a method for each of `KINDS`.
@@ -218,20 +219,30 @@ class Plots:
     def __init__(self, view: View) -> None:
         self._view = view
 
+    def __call__(self, *_args: object) -> NoReturn:
+        """Raise TypeError with the names of the charts, as each of them is a function."""
+        raise TypeError(f"plot is no function, but has one for each chart: "
+                        f"{', '.join(f'plot.{name}()' for name in KINDS)}.")
+
     def __repr__(self) -> str:
         return f"<Plots: {', '.join(KINDS)}>"
 
 
+def _saved_by_altair(_values: tuple[object, ...]) -> str:
+    """Return how a chart is written, for those who give the name of a file to its method."""
+    return "It returns a chart of Altair, which its own save(PATH) writes."
+
+
 def _method_of_kind(kind: ChartKind) -> Callable[[Plots], Any]:
     """Return the method of `Plots` that draws a kind of chart."""
-    def draw(plots: Plots) -> Any:
-        return styled_chart(plots._view, kind.name)
+    def draw(self: Plots) -> Any:
+        return styled_chart(self._view, kind.name)
 
     # As if it were written out, for help() and tracebacks.
     draw.__name__ = kind.name
     draw.__qualname__ = f"Plots.{kind.name}"
     draw.__doc__ = f"Return the chart \"{kind.title}\".\n\n{kind.look}"
-    return draw
+    return explains_arguments(places=_saved_by_altair)(draw)
 
 
 # Methods by the names of the charts, so that a notebook completes them.

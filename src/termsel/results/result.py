@@ -8,13 +8,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
 import numpy as np
 from msgspec import UNSET, convert, field, structs
 from numpy.typing import ArrayLike
 
+from termsel.core.arguments import explains_arguments
 from termsel.core.display import Glance
 from termsel.core.errors import TermselError, count_in_words
 from termsel.core.files.atomic import write_text
@@ -141,6 +142,18 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
     """
 
     # None of these is written; a struct wants names of its own for all that could be.
+    elsewhere: ClassVar[Mapping[str, str]] = {
+        "predict": "Image positions are result.project(ground).",
+        "transform": "Image positions are result.project(ground).",
+        "inverse": "Ground positions are result.locate(image, height).",
+        "export": "termsel.export(result, FORMAT, PATH) writes it.",
+        "rectify": "termsel.rectify(result, IMAGE, MAP, dem=DEM) writes a map.",
+        "save": "termsel.write_result(result, FOLDER) writes it.",
+        "write": "termsel.write_result(result, FOLDER) writes it.",
+        "points": "Points are result.features.points.",
+        "lines": "Lines are result.features.lines.",
+        "to_pandas": "Its residuals are a table: result.residuals.to_pandas().",
+        "rpc": "result.to_rpc() returns one."}
     fit: Fit = field(name="live_fit")
     final: Fit | None = field(name="live_final")
     features: FeatureSet
@@ -202,6 +215,7 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         """Return result.json as text: `to_dict` and its checksums."""
         return json.dumps(as_plain_data(self.record), indent=1) + "\n"
 
+    @explains_arguments()
     def fit_of(self, member: Member) -> Fit:
         """Return the fit of a member of the front, or of the best selection of a size."""
         observations = observations_by_role(self.features)
@@ -269,18 +283,22 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         # The final fit has used all points: it is the better map, the other one the honest figure.
         return self.final or self.fit
 
+    @explains_arguments()
     def project(self, ground: ArrayLike) -> FloatArray:
         """Return where the exported fit sees ground points (see `termsel.Fit.project`)."""
         return self.exported.project(ground)
 
+    @explains_arguments()
     def sigma(self, ground: ArrayLike, *, measured: bool = False) -> FloatArray:
         """Return the standard deviation of the error of `project` (see `termsel.Fit.sigma`).
 
         It includes the error that all places have in common, if that is known (`shared_sigma`).
         """
         # Independent errors: their squares add.
-        return np.hypot(self.exported.sigma(ground, measured=measured), self.shared_sigma or 0.0)
+        own = self.exported.sigma(ground, measured=measured)
+        return np.asarray(np.hypot(own, self.shared_sigma or 0.0))
 
+    @explains_arguments()
     def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
         """Return the ground points seen at image points, by the exported fit.
 
@@ -333,6 +351,7 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         """Charts: ``result.plot.residuals()`` and so on return Altair charts."""
         return Plots(self.view)
 
+    @explains_arguments()
     def report(self, path: Path | str, *, image: Path | str | None = None,
                overwrite: bool = False) -> None:
         """Write a page about the result that opens in any browser, without a connection.
@@ -365,6 +384,7 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         write_text(path, render_page(
             result_document(depicted.record, depicted.view, picture, further_sections(self))))
 
+    @explains_arguments()
     def summary(self, *, verbose: bool = False) -> str:
         """Return the first screen as text: data, model, accuracy, outliers and a comparison.
 

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from inspect import signature
-from os import PathLike
 from pathlib import Path
-from typing import Any
 
-from termsel.auto.memory import Memory
-from termsel.core.errors import TermselError, shown_value
-from termsel.data.rpc import Rpc
 from termsel.plugins.registry import registry
 from termsel.runs.request import DATA_OPTIONS, owners_of_options
 from termsel.selection.solvers.budget import SEARCH_OPTIONS
@@ -54,30 +48,6 @@ def files_by_name(values: tuple[object, ...]) -> str:
         return f"Points and lines are features={second}."
     return (f"Points and lines are features={first}, an RPC is rpc={second}. A table of lines is "
             f"read together with that of points: features=termsel.read({first}, {second}).")
-
-
-_NAME_OF_FILE = (str, PathLike)
-
-_KINDS: Mapping[str, tuple[Any, str]] = {
-    "out": (_NAME_OF_FILE, "the name of a folder"),
-    "checkpoint": (_NAME_OF_FILE, "the name of a file"),
-    "rpc": ((*_NAME_OF_FILE, Rpc), "the name of a file, or a termsel.Rpc"),
-    "columns": ((str, Mapping), "a text or a dict, such as {'x': 'east', 'y': 'north'}"),
-    "options": (Mapping, "a dict, such as {'degree': 2}"),
-    "source": (str, "a text"),
-    "overwrite": (bool, "True or False"),
-    "observers": (Iterable, "a list of functions"),
-    "memory": (Memory, "a termsel.Memory")}
-"""Types of arguments that would fail late, or without a word on what is wrong, and their names."""
-
-
-def require_kinds(**values: object) -> None:
-    """Raise TermselError for the first argument of `run` whose value is not of its kind."""
-    for name, value in values.items():
-        kind, expected = _KINDS[name]
-        if value is not None and not isinstance(value, kind):
-            raise TermselError(f"{name} is {shown_value(value)}, expected {expected}",
-                               hint="Correct it, or leave it out.", name=name)
 
 
 def _names_of_options() -> set[str]:

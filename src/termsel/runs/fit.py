@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from termsel.core.arguments import explains_arguments
 from termsel.core.errors import TermselError, first_names_in_words, unknown_name_error
 from termsel.core.isolation.faults import attribute_errors_to
 from termsel.core.threads import one_blas_thread
@@ -24,6 +25,7 @@ from termsel.runs.request import note_on_blank, owners_of_options, to_leave_out
 log = logging.getLogger(__name__)
 
 
+@explains_arguments()
 def fit(features: Any, model: str | type[SensorModel] | SensorModel | Method = "rfm", *,
         crs: str | None = None, columns: str | Mapping[str, Any] | None = None,
         **options: Any) -> Fit:

@@ -28,7 +28,7 @@ from termsel.io.spent import with_spent
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
 from termsel.results.result import Result
-from termsel.runs.arguments import argument_meant, files_by_name, require_kinds
+from termsel.runs.arguments import argument_meant, files_by_name
 from termsel.runs.choosing import choose_for, uses_auto
 from termsel.runs.finding import result_of
 from termsel.runs.notebook import notebook_observer
@@ -62,8 +62,9 @@ SEARCH_COMPILES, AUTO_COMPILES = 4, 5
 """Seconds that the first run of a search, and of the strategy auto, spends on compilation."""
 
 
+@explains_arguments(argument_meant, files_by_name,
+                    ("problem", "seed", "generations", "evaluations", "seconds", "patience"))
 @one_blas_thread
-@explains_arguments(argument_meant, files_by_name)
 def run(
     problem: str | Recipe | Task | None = None,
     *,
@@ -156,8 +157,6 @@ def run(
     """
     _refuse_features_as_problem(problem)
     # What is wrong with an argument is said before the data are read, and before hours of work.
-    require_kinds(columns=columns, rpc=rpc, source=source, options=options, observers=observers,
-                  out=out, overwrite=overwrite, memory=memory, checkpoint=checkpoint)
     seed = whole_seed(seed)
     limits = {"generations": generations, "evaluations": evaluations, "seconds": seconds,
               "patience": patience}
@@ -244,7 +243,8 @@ def _refuse_features_as_problem(problem: object) -> None:
                                or isinstance(problem, Path)):
             raise TermselError(f"{str(problem)!r} is a file, and the first argument is a problem",
                                hint=f"termsel.run(features={str(problem)!r}) fits it.")
-    elif isinstance(problem, FeatureSet | list | dict) or hasattr(problem, "columns"):
+    elif (isinstance(problem, FeatureSet | list | dict)
+          or hasattr(problem, "columns") or hasattr(problem, "shape")):
         raise TermselError("the first argument is a problem, not features",
                            hint="termsel.run(features=...) fits them.")
 
@@ -311,7 +311,7 @@ def _run_and_write(work: Callable[[], Result], out: Path | str | None, overwrite
 
 # One road from a method and prepared data to a result.
 
-@explains_arguments()
+@explains_arguments(checked_within=("seed",))
 def assess(method: Method, task: Task, *, seed: int = 1, observers: Iterable[Observer] = (),
            memory: Memory | None = None) -> Result:
     """Return the result of a method on prepared data.

@@ -31,7 +31,7 @@ from termsel.io.read import features_of
 from termsel.models.base import SensorModel, require_heights
 from termsel.models.image_part import ImagePart, recognise_part
 from termsel.plugins.registry import registry
-from termsel.runs.arguments import argument_meant, require_kinds
+from termsel.runs.arguments import argument_meant
 from termsel.runs.exported_rpc import refuse_makers, rpc_of_model
 from termsel.runs.fit_crs import with_fit_crs, with_polar
 from termsel.runs.map_projection import with_map_projection
@@ -354,7 +354,6 @@ def prepare(
     >>> task.problem.genome.size, task.problem.objectives
     (20, ('check-rmse',))
     """
-    require_kinds(columns=columns, source=source, options=options)
     features, source = find_features(features, source, crs, columns)
     return task_of(request_of(
         problem, features=features, dataset=dataset, source=source, model=model,

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from termsel.adjustment.kernels import needs_compilation
+from termsel.core.arguments import explains_arguments
 from termsel.core.errors import TermselError, count_in_words
 from termsel.core.files.atomic import make_folder, private_folder
 from termsel.core.files.lock import lock_folder
@@ -42,6 +43,7 @@ log = logging.getLogger(__name__)
 Observer = Callable[[StudyProgress], None]
 
 
+@explains_arguments()
 def compare(
     study: Path | str | Mapping[str, Any] | None = None,
     *,

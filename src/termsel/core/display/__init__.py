@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from html import escape
 
+from termsel.core.arguments import Explained
 from termsel.core.errors import cut, make_printable
 
 _MAX_VALUE_LENGTH = 160
 """Characters of a value."""
 
 
-class Glance:
+class Glance(Explained):
     """Base of values that show themselves by a title and a few figures.
 
     Subclasses return both from `_glance`.

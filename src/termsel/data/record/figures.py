@@ -180,6 +180,8 @@ class RmseByRole(RecordPart, frozen=True):
         KeyError
             If there is no such role.
         """
+        if role not in self.by_role:
+            raise KeyError(f"there is no RMSE of {role!r}, but of {', '.join(self.by_role)}")
         rmse = self.by_role[role]
         if not rmse.n:
             return None

@@ -14,6 +14,7 @@ from typing import Any, Self, TypeVar, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from termsel.core.arguments import explains_arguments
 from termsel.core.display import Glance
 from termsel.core.errors import (
     TermselError,
@@ -386,6 +387,7 @@ class Framed:
             from pandas import DataFrame
         return DataFrame(dict(self._columns()))
 
+    @explains_arguments()
     def to_geopandas(self, crs: str = "local") -> Any:
         """Return a geopandas GeoDataFrame with a point or line on the ground for each feature.
 

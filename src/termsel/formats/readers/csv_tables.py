@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from termsel.core.arguments import explains_arguments
 from termsel.core.errors import TermselError
 from termsel.core.files.atomic import write_text
 from termsel.core.files.texts import cell_text
@@ -166,6 +167,7 @@ class LinesCsv(TableReader):
                           named_units=table.named_units())
 
 
+@explains_arguments()
 def write_points_csv(points: Points, path: Path | str, crs: str = "") -> None:
     """Write points as a table that `PointsCsv` reads back exactly.
 
@@ -214,6 +216,7 @@ def point_columns(points: Points) -> tuple[list[str], FloatArray]:
     return header, np.concatenate(columns, axis=1)
 
 
+@explains_arguments()
 def write_lines_csv(lines: Lines, path: Path | str, crs: str = "") -> None:
     """Write lines as a table that `LinesCsv` reads back exactly.
 

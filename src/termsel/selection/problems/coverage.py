@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from termsel.adjustment.compiled import compile_lazily
+from termsel.core.arguments import explains_arguments
 from termsel.data.features import BoolArray, FloatArray
 
 
@@ -58,6 +59,7 @@ def hull_areas(points: FloatArray, masks: BoolArray) -> FloatArray:
     return areas
 
 
+@explains_arguments()
 def uncovered_share(points: FloatArray, masks: BoolArray) -> FloatArray:
     """Return the share of the image outside the hull of each selection, shape (p,).
 

@@ -141,7 +141,7 @@ class SearchResult:
 
 
 @one_blas_thread
-@explains_arguments()
+@explains_arguments(checked_within=("seed", "generations", "evaluations", "seconds", "patience"))
 def search(
     problem: Problem,
     solver: Solver,

@@ -17,6 +17,7 @@ from pymoo.core.repair import NoRepair, Repair
 from pymoo.core.variable import Binary, Integer, Real, Variable
 from pymoo.termination.max_gen import MaximumGenerationTermination
 
+from termsel.core.arguments import explains_arguments
 from termsel.core.isolation.faults import attribute_errors_to
 from termsel.data.features import FloatArray, IntArray
 from termsel.selection.problems.base import Evaluation, Problem
@@ -138,6 +139,7 @@ def _gene_ranges(genome: Genome) -> tuple[FloatArray, FloatArray]:
     return np.concatenate(low), np.concatenate(high)
 
 
+@explains_arguments()
 def to_pymoo(problem: Problem, *, elementwise_runner: Callable[..., Any] | None = None
              ) -> PymooProblem:
     """Return a pymoo problem, for scripts of one's own.

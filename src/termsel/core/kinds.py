@@ -1,0 +1,168 @@
+"""Kinds of arguments, by what a function declares: whether a value is of one, and its words.
+
+Python refuses an argument of another type only where it is used, in words of its own. These name
+the argument and say what is expected.
+"""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from numbers import Integral, Real
+from os import PathLike
+from pathlib import Path
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from termsel.core.errors import shown_value
+
+_NUMERIC = "biuf"
+"""Kinds of numpy's types that hold numbers."""
+
+_FOLDERS = ("out", "folder")
+"""Arguments that name a folder; other names are those of files."""
+
+_NAMES = ("problem", "model", "solver", "criterion", "method", "strategy", "dataset", "kind",
+          "name", "to", "scheduler", "resampling")
+"""Arguments whose text is a name of something that is known."""
+
+_EXAMPLES = {"columns": ", such as {'x': 'east', 'y': 'north'}",
+             "options": ", such as {'degree': 2}"}
+"""What follows "a dict", by the name of the argument."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of value: its name in words, and what tells whether a value is of it."""
+
+    words: str
+    holds: Callable[[object], bool]
+
+
+def kinds_of(function: Callable[..., Any], unchecked: Collection[str]) -> dict[str, Kind]:
+    """Return the kinds of the arguments of a function, but for those that may be anything."""
+    hints = get_type_hints(function)
+    kinds = {name: kind_of(name, hint) for name, hint in hints.items()
+             if name != "return" and name not in unchecked}
+    return {name: kind for name, kind in kinds.items() if kind is not None}
+
+
+def kind_of(name: str, hint: Any) -> Kind | None:
+    """Return the kind of values of a type hint; None where it takes anything, or cannot be told."""
+    if hint is Any:
+        return None
+    if hint is ArrayLike:
+        return Kind("an array of numbers", _is_numeric)
+    origin = get_origin(hint)
+    if origin in (Union, types.UnionType):
+        return _kind_of_union(name, get_args(hint))
+    if origin is np.ndarray:
+        return Kind("an array of numbers", _is_numeric)
+    if origin is type:
+        return Kind("a class", lambda value: isinstance(value, type))
+    if origin is tuple:
+        return _kind_of_tuple(get_args(hint))
+    if isinstance(origin, type):
+        return _kind_of_collection(name, origin, get_args(hint))
+    if hint is str and name in _NAMES:
+        return Kind("a name", _SIMPLE[str].holds)
+    return _SIMPLE.get(hint) or _kind_of_class(name, hint)
+
+
+def _kind_of_union(name: str, hints: Sequence[Any]) -> Kind | None:
+    """Return the kind of values that are of one of several; None is no kind to name."""
+    named = [hint for hint in hints if hint is not types.NoneType]
+    # A union within a union is dissolved in it.
+    of_arrays = get_args(ArrayLike)
+    if set(of_arrays) <= set(named):
+        named = [ArrayLike, *(hint for hint in named if hint not in of_arrays)]
+    # The name of a file is a text or a path.
+    is_file = Path in named and str in named
+    if is_file:
+        named = [Path, *(hint for hint in named if hint not in (Path, str))]
+    kinds = [kind_of(name, hint) for hint in named]
+    if None in kinds:
+        return None
+    # A name is the commonest form, and stands first.
+    words = [kind.words for kind in kinds if kind is not None]
+    holds = [kind.holds for kind in kinds if kind is not None]
+    if is_file:
+        holds.append(_SIMPLE[str].holds)
+    if types.NoneType in hints:
+        holds.append(lambda value: value is None)
+    listed = " or ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else words[0]
+    return Kind(listed, lambda value: any(held(value) for held in holds))
+
+
+def _kind_of_tuple(hints: Sequence[Any]) -> Kind | None:
+    """Return the kind of several numbers in their order, such as the bounds of a map."""
+    if not set(hints) <= {int, float}:
+        return None
+
+    def holds(value: object) -> bool:
+        """Return whether a value has so many numbers."""
+        if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray):
+            return False
+        return len(value) == len(hints) and all(map(_SIMPLE[float].holds, value))
+
+    noun = "whole numbers" if set(hints) == {int} else "numbers"
+    return Kind(f"{len(hints)} {noun}", holds)
+
+
+def _kind_of_collection(name: str, origin: type, contained: Sequence[Any]) -> Kind:
+    """Return the kind of a mapping, a list or a function."""
+    if issubclass(origin, Mapping):
+        return Kind(f"a dict{_EXAMPLES.get(name, '')}", lambda value: isinstance(value, Mapping))
+    if not issubclass(origin, Iterable):
+        return Kind("a function", callable)
+    of_functions = get_origin(next(iter(contained), None)) is Callable
+
+    def holds(value: object) -> bool:
+        """Return whether a value is a list: not a text, which is one of characters."""
+        if isinstance(value, str) or not isinstance(value, origin | np.ndarray):
+            return False
+        # What can be gone through once only is not looked into.
+        return not of_functions or not isinstance(value, Sequence) or all(map(callable, value))
+
+    return Kind(f"a list{' of functions' * of_functions}", holds)
+
+
+def _kind_of_class(name: str, hint: Any) -> Kind | None:
+    """Return the kind of objects of a class; None for what is no class to ask for."""
+    if hint is Path:
+        noun = "folder" if name in _FOLDERS else "file"
+        return Kind(f"the name of a {noun}", lambda value: isinstance(value, PathLike))
+    if not isinstance(hint, type) or getattr(hint, "_is_protocol", False) or hint is object:
+        return None
+    return Kind(f"a termsel.{hint.__name__}", lambda value: isinstance(value, hint))
+
+
+def _is_numeric(value: object) -> bool:
+    """Return whether a value is an array of numbers, or numpy makes one of it."""
+    if isinstance(value, np.ndarray) and value.dtype.kind in _NUMERIC:
+        return True
+    try:
+        np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):  # no numbers, or rows of several lengths
+        return False
+    return value is not None
+
+
+def _is_number(value: object, kind: type = Real) -> bool:
+    return isinstance(value, kind) and not isinstance(value, bool)
+
+
+_SIMPLE: Mapping[Any, Kind] = {
+    str: Kind("a text", lambda value: isinstance(value, str)),
+    bool: Kind("True or False", lambda value: isinstance(value, bool | np.bool_)),
+    int: Kind("a whole number", lambda value: _is_number(value, Integral)),
+    float: Kind("a number", _is_number)}
+
+
+def wrong_kind_message(name: str, value: object, kind: Kind) -> str:
+    """Return what is wrong with an argument that is not of its kind."""
+    shown = "None" if value is None else shown_value(value)
+    return f"{name} is {shown}, expected {kind.words}"
