@@ -38,6 +38,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from termsel.adjustment.bayesian.bidiagonal import eliminate
 from termsel.core.threads import one_blas_thread
 from termsel.data.features import FloatArray, Points
 from termsel.data.monomials import evaluate_monomials, graded_exponents
@@ -56,6 +57,9 @@ from termsel.fitting.misfit import (
 
 EXPONENTS = graded_exponents(3, 3)
 AFFINE_COLUMNS = 4
+
+LOWER_TRIANGLE = np.tril_indices(len(EXPONENTS) - AFFINE_COLUMNS + 2)
+"""Rows and columns of the products of curved columns and both deviations."""
 
 CAMERA_FIELD_PROBABILITY = 0.5
 """Probability of a field of any of MISFIT_RATIOS, as in the model of a field with heights."""
@@ -243,67 +247,76 @@ class Control:
         across = seen.products[:, :AFFINE_COLUMNS, AFFINE_COLUMNS:]
         products = (seen.products[:, AFFINE_COLUMNS:, AFFINE_COLUMNS:]
                     - across.swapaxes(1, 2) @ np.linalg.solve(affine, across))
-        # Of [[A, t], [t', .]] the factor is [[L, 0], [(L^-1 t)', .]], with A = L L' and t of both
-        # axes, whatever stands in the corner, which must be large enough for there to be one.
-        precisions = self.shrinkages.precisions[:, :, AFFINE_COLUMNS:]
+        # Of [[A, t], [t', u]], t and u of both axes, the elimination of A leaves the pivots of A
+        # and u - t' A^-1 t, which is what no monomial explains. Lower triangles, row by row, of all
+        # systems side by side: (p, q, z, r).
         curved = f - AFFINE_COLUMNS
-        systems = np.empty((*precisions.shape[:2], *products.shape))
-        systems[...] = products
-        systems[..., curved:, curved:] = (
-            (1.0 + 2.0 * np.trace(products, axis1=1, axis2=2))[:, None, None] * np.eye(2))
-        diagonal_of(systems)[..., :curved] += precisions[:, :, None]
-        factors = np.linalg.cholesky(systems)                                # (q, z, r, ...)
-        explained = (factors[..., curved:, :curved]**2).sum(axis=4)          # (q, z, r, 2)
-        squares = np.maximum(diagonal_of(products)[:, curved:] - explained, 0.0)
+        rows, columns = LOWER_TRIANGLE
+        diagonal = np.flatnonzero(rows == columns)
+        precisions = self.shrinkages.precisions[:, :, AFFINE_COLUMNS:]
+        systems = np.empty((len(rows), *precisions.shape[:2], len(products)))
+        systems[...] = products[:, rows, columns].T[:, None, None]
+        systems[diagonal[:curved]] += np.moveaxis(precisions, 2, 0)[..., None]
+        eliminate(systems.reshape(len(rows), -1), curved)
+        squares = np.moveaxis(np.maximum(systems[diagonal[curved:]], 0.0), 0, 3)  # (q, z, r, 2)
         # |S|^1/2, but for what all have in common, and |A|^1/2.
-        determinants = (                                                     # (q, z, r)
-            0.5 * (np.log(seen.variances).sum(axis=1) + np.log(np.linalg.det(affine)))
-            + np.log(diagonal_of(factors)[..., :curved]).sum(axis=3))
+        determinants = 0.5 * (                                               # (q, z, r)
+            np.log(seen.variances).sum(axis=1) + np.log(np.linalg.det(affine))
+            + np.log(systems[diagonal[:curved]]).sum(axis=0))
         of_prior = self.shrinkages.log_determinants() + self.shrinkages.log_probabilities
         by_solution = of_prior[:, :, None] - determinants
-        of_noises = (n - AFFINE_COLUMNS) * np.log(self.noises)
-        return np.asarray(by_solution[..., None, None] - of_noises
-                          - squares[..., None] * (0.5 / self.noises**2))
+        logs = squares[..., None] * (-0.5 / self.noises**2)
+        logs += by_solution[..., None, None]
+        logs -= (n - AFFINE_COLUMNS) * np.log(self.noises)
+        return np.asarray(logs)
 
-    def course(self, seen: Whitened, shares: FloatArray) -> Course:
+    def course(self, seen: Whitened, share: FloatArray, relative: FloatArray) -> Course:
         """Return the solutions of a field, averaged where they are likely.
 
-        `shares` (q, z, r, 2, s) are the probabilities of all combinations, as of `log_likelihoods`.
-        A solution is a mean (n + f,) at the points and of the monomials; what the points explain of
-        the prior covariance is added up, with its noise. Combinations without a share are skipped.
+        The probabilities of all combinations, as of `log_likelihoods`, are those of rules and
+        noises, `share` (q, s), times those of sizes and ratios with them, `relative`
+        (q, z, r, 2, s). A solution is a mean (n + f,) at the points and of the monomials; what the
+        points explain of the prior covariance is added up, with its noise. Combinations without a
+        share are skipped.
         """
+        # Sums over the noises of probabilities, and of these times the variance of the noise.
         # Ratios first: their solutions stand next to each other.
-        noise = np.moveaxis(shares @ self.noises**2, 2, 0)                   # (r, q, z, 2)
-        probabilities = np.moveaxis(shares.sum(axis=4), 2, 0)
+        by_noise = np.stack([share, share * self.noises**2], axis=2)         # (q, s, 2)
+        sums = (relative.reshape(len(share), -1, len(self.noises)) @ by_noise).reshape(
+            *relative.shape[:4], 2)
+        probabilities, noise = np.moveaxis(sums, (4, 2), (0, 1))             # (r, q, z, 2) each
         likely = probabilities.max(axis=3) > NEGLIGIBLE_SHARE                # (r, q, z)
         ratio, rule, size = np.nonzero(likely)                               # (w,) each
         n, f = self.monomials.shape
         vectors = seen.spectrum.vectors
         squared_ratios = np.square(seen.ratios)
-        # S^-1 is diagonal in V: there these are B = S^-1 F and S^-1 z.
-        toward, of_deviations = np.split(seen.along / seen.variances[..., None], [f], axis=2)
+        # S^-1 is diagonal in V: there B = S^-1 F is F divided by the variances, which are those of
+        # the noise for a ratio of 0.
+        factors = squared_ratios[:, None] / seen.variances                   # (r, n)
+        monomials, deviations = np.split(seen.along, [f], axis=1)
         # A^-1 of all likely rules and sizes, (w, f, f): the rest of M^-1 is linear in it.
-        systems = seen.products[ratio][:, :f, :f]
+        systems = seen.products[ratio, :f, :f]
         diagonal_of(systems)[...] += self.shrinkages.precisions[rule, size]
         of_columns = np.linalg.inv(systems)
-        coefficients = of_columns @ seen.products[ratio][:, :f, f:]
-        at_points = squared_ratios[ratio][:, None, None] * (
-            vectors @ (of_deviations[ratio] - toward[ratio] @ coefficients))
+        coefficients = of_columns @ seen.products[ratio, :f, f:]             # (w, f, 2)
+        left = deviations - monomials @ coefficients
+        left *= factors[ratio][..., None]
+        at_points = vectors @ left                                           # (w, n, 2)
         # M^-1 has the blocks S^-1 - B A^-1 B', B A^-1 and -A^-1.
-        of_solutions = noise[likely].T                                       # (2, w)
-        of_ratios = of_solutions[:, None] * (ratio == np.arange(len(squared_ratios))[:, None])
+        of_ratios = np.zeros((2, len(squared_ratios), len(ratio)))           # (2, r, w)
+        of_ratios[:, ratio, np.arange(len(ratio))] = noise[likely].T
         inverses = np.tensordot(of_ratios, of_columns, axes=1)               # (2, r, f, f)
-        scaled = squared_ratios[:, None, None] * toward
+        scaled = factors[..., None] * monomials                              # (r, n, f)
         gains = scaled @ inverses                                            # (2, r, n, f)
         along = -np.tensordot(gains, scaled, axes=((1, 3), (0, 2)))          # (2, n, n)
         noise_of_ratios = of_ratios.sum(axis=2)                              # (2, r)
-        diagonal_of(along)[...] += noise_of_ratios * squared_ratios**2 @ (1.0 / seen.variances)
+        diagonal_of(along)[...] += noise_of_ratios * squared_ratios @ factors
         explained = np.empty((2, n + f, n + f))
         explained[:, :n, :n] = vectors @ along @ vectors.T
         explained[:, :n, n:] = vectors @ gains.sum(axis=1)
         explained[:, n:, :n] = explained[:, :n, n:].swapaxes(1, 2)
         explained[:, n:, n:] = -inverses.sum(axis=1)
-        return Course(float(shares[:, :, :, 0].sum()), seen.spectrum.lengths,
+        return Course(float(probabilities[..., 0].sum()), seen.spectrum.lengths,
                       seen.spectrum.smoothness, noise_of_ratios @ squared_ratios, explained,
                       probabilities[likely].T, np.concatenate([at_points, coefficients], axis=1), f)
 
@@ -343,22 +356,23 @@ def camera_courses(points: Points, pixel: float) -> CameraCourses | None:
         # The noise is that of both axes, and so is whether there is a field.
         of_field = probabilities.sum(axis=0)
         seen = control.seen_by(field, ratios)
-        likelihoods = (control.log_likelihoods(seen)
-                       + np.log(probabilities / of_field)[None, None, :, None])
-        largest = likelihoods.max(axis=(1, 2), keepdims=True)
-        relative = np.exp(likelihoods - largest)
+        relative = control.log_likelihoods(seen)
+        relative += np.log(probabilities / of_field)[:, None]
+        largest = relative.max(axis=(1, 2), keepdims=True)
+        relative -= largest
+        np.exp(relative, out=relative)
         sums = relative.sum(axis=(1, 2))                                               # (q, 2, s)
         by_noise = np.log(sums) + largest[:, 0, 0]
         logs.append(np.log(of_field / len(by_noise)) + prior.log_probability(control.noises)
                     + by_noise.sum(axis=1))
-        grids.append((seen, relative / sums[:, None, None]))
+        relative /= sums[:, None, None]
+        grids.append((seen, relative))
     shares = np.exp(np.array(logs) - np.logaddexp.reduce(logs, axis=None))             # (c, q, s)
     if not np.isfinite(shares).all():
         return None
-    courses = tuple(
-        control.course(seen, share[:, None, None, None] * relative)
-        for share, (seen, relative) in zip(shares, grids, strict=True)
-        if share.sum() > NEGLIGIBLE_SHARE)
+    courses = tuple(control.course(seen, share, relative)
+                    for share, (seen, relative) in zip(shares, grids, strict=True)
+                    if share.sum() > NEGLIGIBLE_SHARE)
     return CameraCourses(control.to_image, control.positions,
                          tuple(course for course in courses if len(course.means)),
                          float(shares.sum(axis=(0, 1)) @ control.noises**2))

@@ -165,8 +165,7 @@ class Solutions:
                     inverse, system.trend[:, :columns], precisions)
                 means[j, i, :n + columns] = scaled[:, :n] @ system.residuals
                 scaled *= scale
-                for axis in (0, 1):
-                    explained[axis, :n + columns, :n + columns] += noise[j, axis, i] * scaled
+                explained[:, :n + columns, :n + columns] += noise[j, :, i, None, None] * scaled
         weights = np.moveaxis(shares.sum(axis=3), 1, 0)                                # (2, t, r)
         return Course(float(shares[:, 0].sum()), self.lengths, self.smoothness,
                       noise.sum(axis=0) @ np.square(self.ratios), explained,
@@ -180,7 +179,13 @@ def _with_trend(inverse: FloatArray, trend: FloatArray, precisions: FloatArray) 
     B = inverse @ trend
     G = np.linalg.inv(trend.T @ B + np.diag(precisions))
     BG = B @ G
-    return np.block([[inverse - BG @ B.T, BG], [BG.T, -G]])
+    n, f = trend.shape
+    blocks = np.empty((n + f, n + f))
+    blocks[:n, :n] = inverse - BG @ B.T
+    blocks[:n, n:] = BG
+    blocks[n:, :n] = BG.T
+    blocks[n:, n:] = -G
+    return blocks
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,13 +234,14 @@ class Groups:
         sums = np.bincount(group_of, correlations, len(self.sizes))
         return np.where(counts > 0, sums / np.maximum(counts, 1), 1.0)
 
-    def log_likelihood(self, increase: float, noises: FloatArray) -> FloatArray:
-        """Return the log likelihood of the squares for each noise, (2, s).
+    def log_likelihoods(self, increases: FloatArray, noises: FloatArray) -> FloatArray:
+        """Return the log likelihoods of the squares for each noise, (2, r, s).
 
-        A field within the groups multiplies the variance of the noise by `increase`.
+        A field within the groups multiplies the variance of the noise by an increase (r,).
         """
-        return np.asarray(-self.freedom * (np.log(noises) + 0.5 * np.log(increase))
-                          - 0.5 * self.squares[:, None] / (noises**2 * increase))
+        variances = np.multiply.outer(increases, noises**2)                            # (r, s)
+        return np.asarray(-0.5 * (self.freedom * np.log(variances)
+                                  + self.squares[:, None, None] / variances))
 
 
 @dataclass(frozen=True, eq=False)
@@ -418,22 +424,25 @@ def _log_likelihoods(system: System, within: Groups, covariance: Covariance) -> 
     values, vectors = np.linalg.eigh(correlation * np.outer(scale, scale))
     values = np.maximum(values, 0.0)
     turned = vectors.T @ (scale[:, None] * np.column_stack([system.trend, system.residuals]))
-    logs = np.empty((len(trends), 2, len(ratios), len(system.noises)))
-    for i, ratio in enumerate(ratios):
-        variances = 1.0 + ratio**2 * values
-        whitened = turned / np.sqrt(variances)[:, None]
-        q, r = np.linalg.qr(whitened[:, :f])
-        along = q.T @ whitened[:, f:]                                                  # (f, 2)
-        squares = (whitened[:, f:]**2).sum(axis=0) - (along[:affine_columns]**2).sum(axis=0)
-        determinant = (0.5 * np.log(variances).sum() - np.log(scale).sum()
-                       + np.log(np.abs(np.diag(r)[:affine_columns])).sum())
-        affine = (-(n - affine_columns) * np.log(system.noises)
-                  - 0.5 * squares[:, None] / system.noises**2 - determinant)
-        affine += within.log_likelihood(1.0 + ratio**2 * share_apart, system.noises)
-        for j, columns in enumerate(trends):
-            explained = (along[affine_columns:columns]**2).sum(axis=0)[:, None] / system.noises**2
-            logs[j, :, i] = (affine + 0.5 * explained * n / (n + 1.0)
-                             - 0.5 * (columns - affine_columns) * np.log(n + 1.0))
+    squared_ratios = np.square(ratios)
+    variances = 1.0 + np.multiply.outer(squared_ratios, values)                        # (r, n)
+    whitened = turned / np.sqrt(variances)[..., None]                                  # (r, n, .)
+    # Of the triangle of trend and residuals the last columns are the residuals along the trend.
+    triangle = np.asarray(np.linalg.qr(whitened, mode="r"))
+    along_squared = triangle[:, :f, f:]**2                                             # (r, f, 2)
+    squares = ((whitened[..., f:]**2).sum(axis=1)
+               - along_squared[:, :affine_columns].sum(axis=1))                        # (r, 2)
+    diagonal = np.diagonal(triangle, axis1=1, axis2=2)[:, :affine_columns]
+    determinants = (0.5 * np.log(variances).sum(axis=1) - np.log(scale).sum()
+                    + np.log(np.abs(diagonal)).sum(axis=1))                            # (r,)
+    affine = (-(n - affine_columns) * np.log(system.noises)
+              - 0.5 * squares.T[..., None] / system.noises**2 - determinants[:, None])
+    affine += within.log_likelihoods(1.0 + squared_ratios * share_apart, system.noises)
+    logs = np.empty((len(trends), *affine.shape))                                # (t, 2, r, s)
+    for j, columns in enumerate(trends):
+        explained = along_squared[:, affine_columns:columns].sum(axis=1)               # (r, 2)
+        logs[j] = (affine + explained.T[..., None] / system.noises**2 * (0.5 * n / (n + 1.0))
+                   - 0.5 * (columns - affine_columns) * np.log(n + 1.0))
     return np.asarray(logs - np.log(len(ratios)))
 
 
