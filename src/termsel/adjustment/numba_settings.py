@@ -14,11 +14,14 @@ NO_FILE = ""
 
 
 def import_numba() -> None:
-    """Import numba, or correct its settings where it is imported already."""
+    """Import numba so that it reads no file of settings.
+
+    Where it is imported already, the settings that it read from a file are undone.
+    """
     imported = "numba.core.config" in sys.modules
     before = sys.modules.get("yaml")
     if not imported:
-        # Then numba reads no file at all.
+        # Numba reads its file of settings only if it can import yaml.
         sys.modules["yaml"] = None  # type: ignore[assignment]
     try:
         with warnings.catch_warnings():

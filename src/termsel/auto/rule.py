@@ -192,10 +192,10 @@ def folds_of(features: FeatureSet) -> int:
 def clusters_of(features: FeatureSet) -> IntArray | None:
     """Return the number of each point's cluster, (n,), where clusters are held out as a whole.
 
-    Else neighbours in the fit would predict a point that is held out, and its error would say
-    nothing of other places. Returns None where points do not come in clusters, and for fewer than
-    MIN_CLUSTERS: the others hardly predict a whole cluster then. Points are held out one by one in
-    that case, and the uncertainty of the model shows what lies between.
+    If points of a cluster were held out one by one, their neighbours in the fit would predict them,
+    and the errors would say nothing of other places. Returns None where points do not come in
+    clusters, and for fewer than MIN_CLUSTERS: the others hardly predict a whole cluster then. In
+    both cases points are held out one by one; the uncertainty of the model shows what lies between.
     """
     if len(features.lines) or len(features) < 2 * MIN_CLUSTERS:
         return None

@@ -126,7 +126,7 @@ def with_dataset(raster: Any, work: Callable[..., Answer], *values: Any) -> Answ
 
 @contextmanager
 def open_distant(path: Path | str) -> Iterator[DistantRaster]:
-    """Open a raster in another process; it raises the errors of `termsel.open_raster`."""
+    """Yield a raster that is open in another process; raises what `termsel.open_raster` raises."""
     raster = DistantRaster(path, _raster_helper(allowed_drivers(), remote_allowed()))
     # Errors of opening are raised before the body runs.
     raster._ask(OPEN_RASTER, path)

@@ -210,9 +210,9 @@ class Groups:
         return self._mean_correlations(self.apart, self.group_of_pair, lengths, smoothness)
 
     def discrepancies(self, lengths: tuple[float, float], smoothness: float) -> FloatArray:
-        """Return the variance of a field's mean in each group less the field in its middle, (g,).
+        """Return how far the mean of a field in each group is from the field in its middle, (g,).
 
-        It is divided by the variance of the field.
+        It is the variance of mean minus middle, divided by the variance of the field.
         """
         # Var(mean - middle) = 1 - 2 Cov(mean, middle) + Var(mean).
         variance_of_mean = (1.0 / self.counts

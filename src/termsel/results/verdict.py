@@ -183,7 +183,7 @@ def outliers_in_words(record: Record) -> str:
 def size_of_errors(record: Record) -> float:
     """Return the RMSE that features which took no part have, or are predicted to have [px].
 
-    The smaller one where both are known, and 0 where neither is.
+    It is the smaller of the two where both are known, and 0 where neither is.
     """
     sizes = []
     if record.predicted:
@@ -198,7 +198,7 @@ NO_FIT = 0.01
 
 
 def does_nothing_fit(record: Record) -> bool:
-    """Return whether no model fits so many features that this is no matter of chance."""
+    """Return whether no model fits, of features so many that this cannot be chance."""
     test = record.blunder_test
     return (test is not None and test.features >= NOT_FEW
             and size_of_errors(record) > NO_FIT * test.extent)

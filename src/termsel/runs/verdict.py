@@ -92,7 +92,7 @@ def exchange_of(control: FitData) -> Exchange | None:
 
 
 def errors_by_others(control: FitData) -> FloatArray:
-    """Return the distance of each point from its affine prediction by the others [px], (n,)."""
+    """Return the error (n,) [px] of each point, as the affine fit of all others predicts it."""
     points = control.scaled.points
     columns = np.column_stack([np.ones(len(points)), points.ground[:, :2]])
     errors = np.empty(len(points))
@@ -105,9 +105,10 @@ def errors_by_others(control: FitData) -> FloatArray:
 
 
 def _turning_products(ground: FloatArray, image: FloatArray) -> IntArray:
-    """Return the signs by which triangles turn in the image and on the ground, multiplied, (t,).
+    """Return for all triangles (t,) of points the sense in the image times that on the ground.
 
-    0 of those that are thin. Lines count downwards, so that an image that is not mirrored has -1.
+    A sense is 1 (counter-clockwise) or -1, and 0 for a thin triangle. The image has x = sample and
+    y = line. Lines count downwards, so that an image that is not mirrored has -1.
     """
     triangles = np.array(list(combinations(range(len(ground)), 3)))
     on_ground = _turning_sign(ground[triangles])

@@ -30,7 +30,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 def remote_option(command: Command) -> Command:
-    """Add ``--allow-remote`` and ``--allow-driver``, which hold for all that the command reads."""
+    """Return the command with ``--allow-remote`` and ``--allow-driver``, for all that it reads."""
     command = click.option(
         "--allow-driver", metavar="NAME", multiple=True, expose_value=False,
         callback=_allow_drivers,

@@ -18,7 +18,7 @@ ECCENTRICITY = FLATTENING * (2 - FLATTENING)  # squared
 
 
 def to_ecef(ground: FloatArray) -> FloatArray:
-    """Return Earth-fixed coordinates [m] of WGS84 lon, lat [deg], height [m], shape (n, 3)."""
+    """Return Earth-fixed x, y, z (n, 3) [m] of WGS84 lon, lat [deg] and height [m], (n, 3)."""
     lon = np.radians(ground[:, 0])
     lat = np.radians(ground[:, 1])
     n = SEMI_MAJOR / np.sqrt(1 - ECCENTRICITY * np.sin(lat) ** 2)
@@ -28,7 +28,7 @@ def to_ecef(ground: FloatArray) -> FloatArray:
 
 
 def from_ecef(position: FloatArray) -> FloatArray:
-    """Return WGS84 lon, lat [deg], height [m] of Earth-fixed coordinates [m], shape (n, 3)."""
+    """Return WGS84 lon, lat [deg] and height [m], (n, 3), of Earth-fixed x, y, z (n, 3) [m]."""
     x, y, z = position.T
     p = np.hypot(x, y)
     reduced = np.arctan2(z, p * (1 - FLATTENING))
@@ -44,7 +44,7 @@ def from_ecef(position: FloatArray) -> FloatArray:
 
 
 def vertical_directions(ground: FloatArray) -> FloatArray:
-    """Return the unit normals of the ellipsoid, Earth-fixed, shape (n, 3)."""
+    """Return Earth-fixed unit normals (n, 3) of the ellipsoid at lon, lat [deg] in `ground`."""
     lon = np.radians(ground[:, 0])
     lat = np.radians(ground[:, 1])
     return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)

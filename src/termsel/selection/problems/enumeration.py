@@ -92,10 +92,10 @@ def enumerable_parts(inputs: ProblemData, equations: Equations, genome: Genome,
 
 def _cost_by_size(scores: FloatArray, cost: Callable[[FloatArray], FloatArray], rounding: float,
                   share: float) -> FloatArray:
-    """Return the cost of the best score of each size, shape (k + 1,).
+    """Return the cost (k + 1,) of the best scores (k + 1,) of selections of 0 to k terms.
 
-    Scores up to `rounding` count by their size, each term as a share, as where `SelectionProblem`
-    evaluates them: there roots of sums over the parts are judged.
+    A score up to `rounding` is mere rounding: it is replaced by `rounding` times `share` for each
+    term, so that the smaller selection is the better one, as `SelectionProblem` ranks it.
     """
     return cost(replace_rounding_by_size(scores, rounding,
                                          share * np.arange(len(scores), dtype=np.float64)))

@@ -262,7 +262,10 @@ def evaluate_each(problem: Problem, genes: Genes) -> tuple[FloatArray, BoolArray
 
 
 def _cost_by_size(scores: FloatArray, subproblem: EnumerablePart, fewest: int) -> FloatArray:
-    """Return the cost of a score of each size, (k + 1,); infinite for fewer than `fewest` genes."""
+    """Return the cost (k + 1,) of the scores (k + 1,) of 0 to k genes.
+
+    It is infinite for fewer than `fewest` genes, and where a score is not finite.
+    """
     cost = np.where(np.isfinite(scores), subproblem.cost(scores), np.inf)
     cost[:fewest] = np.inf
     return cost
