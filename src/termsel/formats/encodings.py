@@ -8,7 +8,16 @@ import re
 from pathlib import Path
 
 from termsel.core.errors import TermselError
-from termsel.data.tables.columns import CENTRAL_EUROPEAN, CHINESE, RUSSIAN
+from termsel.data.tables.columns import (
+    CENTRAL_EUROPEAN,
+    CHINESE,
+    GREEK,
+    JAPANESE,
+    KOREAN,
+    RUSSIAN,
+    TAIWANESE,
+    TURKISH,
+)
 
 log = logging.getLogger(__name__)
 
@@ -20,9 +29,14 @@ _CONTROL = re.compile("[\x01-\x08\x0e-\x1f]")
 _DECLARED = re.compile(rb"""\s*<\?xml[^>]*\bencoding\s*=\s*["']([\w.:-]+)""")
 """How XML declares an encoding whose letters have one byte: no other needs it to be known."""
 
-_TOLD_BY_NAMES = {"cp1251": RUSSIAN, "gb18030": CHINESE, "cp1250": CENTRAL_EUROPEAN,
-                  "iso8859-2": CENTRAL_EUROPEAN}
-"""Encodings that most bytes fit, by the names of columns of which they must give one."""
+_TOLD_BY_NAMES = {"cp1251": RUSSIAN, "koi8-r": RUSSIAN, "cp866": RUSSIAN, "cp932": JAPANESE,
+                  "cp949": KOREAN, "big5": TAIWANESE, "gb18030": CHINESE,
+                  "cp1250": CENTRAL_EUROPEAN, "iso8859-2": CENTRAL_EUROPEAN, "cp1253": GREEK,
+                  "cp1254": TURKISH}
+"""Encodings that most bytes fit, by the names of columns of which they must give one.
+
+Chinese names may be one character, which text of other countries may give by chance.
+"""
 
 _said = set[tuple[Path, str]]()
 """Files and their encodings that a note has told: readers open a file several times."""

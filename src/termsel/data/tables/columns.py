@@ -54,7 +54,7 @@ _FURTHER = {meaning: frozenset(names.split()) for meaning, names in {
           "gcpname gcplabel label nr no num number pkt pktnr punkt punktid punktnr punktnummer "
           "punktname passpunkt nummer numer numero nom nombre punto idpunto nome ponto punt "
           "puntnummer nazwa naam bod cislobodu pont pontszam nokta tunnus punctul točka točke "
-          "точка точки номер номерточки назва σημείο 点番号 점 점번호 点 点号 点名 编号 序号 "
+          "точка точки номер номерточки назва σημείο 点番号 점 점번호 点 点号 點號 点名 编号 序号 "
           "名称 id号",
     "line": "lin lines rows pxy ypix ypixel pixely py imgy imagey yimg yimage lineno zeile "
             "yimagen yimagem imy imrow imgrow imagerow bildzeile bildy "
@@ -74,7 +74,7 @@ _FURTHER = {meaning: frozenset(names.split()) for meaning, names in {
          "lengtegraad oost delka zemepisnadelka dlzka zemepisnadlzka hosszúság boylam itä "
          "longitud öst øst lengdegrad længdegrad longitudine долгота довгота γεωγραφικόμήκος "
          "восток восточная xместности xterreno "
-         "経度 경도 经度 东经 东坐标 东 东向",
+         "経度 경도 经度 經度 东经 东坐标 东 东向",
     "y": "n north nord norte northing pointy lati geoy ymap utmn utmy utmnorth utmnorthing "
          "breite breitengrad hochwert nordwert latitud "
          "latitudine yl93 szerokosc polnoc breedte breedtegraad noord "
@@ -92,6 +92,13 @@ CHINESE = tuple(sorted(
 
 RUSSIAN = ("широта", "долгота", "север", "восток", "строка", "столбец", "высота")
 """Names that only one encoding of Russian text gives."""
+
+JAPANESE = ("経度", "緯度", "標高", "点番号")
+KOREAN = ("경도", "위도", "고도", "표고", "점번호")
+TAIWANESE = ("經度", "緯度", "點號")
+GREEK = ("γραμμή", "στήλη", "υψόμετρο", "σημείο")
+TURKISH = ("satır",)
+"""Names that tell the encoding of text from these countries."""
 
 CENTRAL_EUROPEAN = ("wysokość", "długość", "szerokość", "północ")
 """Names, as they are written in Poland, that only one encoding of a text gives."""
