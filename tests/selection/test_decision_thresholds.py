@@ -320,9 +320,9 @@ def test_the_knee_is_below_the_line_between_the_ends() -> None:
 
 @pytest.mark.parametrize(("n_control", "n_check", "message"), [
     (3, 2, None),
-    (3, 1, "only 1 selection point (role check); the criterion check-rmse needs at least 2. "
-           "Give more points the role check: they choose among selections. Or choose by "
-           "leave-one-out, without selection points: --criterion press."),
+    (3, 1, "only 1 selection point (role check), and a search by check-rmse chooses by at least 2. "
+           "Give more points the role check. Or choose by leave-one-out, which needs no "
+           "selection points: --criterion press."),
     (2, 2, "only 2 control points beside 2 selection points and 10 independent check points; "
            "at least 3 control points are needed. Give more points the role control, in the column "
            "role or by --role ID=control, or measure more. Or choose by leave-one-out, without "

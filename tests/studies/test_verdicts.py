@@ -84,7 +84,7 @@ def test_folders_are_named_by_the_image() -> None:
 
 
 def test_a_size_needs_its_unit() -> None:
-    with pytest.raises(TermselError, match="accept does not take '5 km'"):
+    with pytest.raises(TermselError, match="--accept is '5 km', expected a length with its unit"):
         Accept.of("5 km")
     assert Accept.of(str(Accept.of("2.5 m"))) == Accept(2.5, "m")
 

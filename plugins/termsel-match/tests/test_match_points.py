@@ -20,7 +20,8 @@ from rasterio.transform import from_origin
 import termsel
 from termsel import TermselError
 from termsel.testing import checks
-from termsel_match.commands import free_name, match_example, match_points, next_map_command
+from termsel.toolkit import free_name
+from termsel_match.commands import match_example, match_points, next_map_command
 from termsel_match.images import overview
 from termsel_match.points.candidates import Candidates
 from termsel_match.points.candidates import match_points as match

@@ -22,9 +22,9 @@ from rasterio.windows import Window
 
 from benchmarks.verdicts import BAD, PASSED, REFUSED, Repeated, verdict
 from termsel import FeatureSet, Points, TermselError, read, read_result, write_points_csv
+from termsel.toolkit import free_name
 from termsel_match import chain
 from termsel_match.chain import georeference_image, judge
-from termsel_match.commands import free_name
 from termsel_match.images.rasters import GreyRaster, open_picture
 from termsel_match.judgement.along import Along, drift_along
 from termsel_match.judgement.evidence import (

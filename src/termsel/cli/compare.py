@@ -18,7 +18,7 @@ from termsel.cli.options.shared import progress_option, remote_option
 from termsel.cli.tables import print_table
 from termsel.cli.topics import Whole
 from termsel.core.errors import TermselError, count_in_words, make_printable
-from termsel.core.files.names import no_such_file_error
+from termsel.core.files.names import free_name, no_such_file_error
 from termsel.core.interrupts import INTERRUPTED
 from termsel.core.options import MOST_RUNS
 
@@ -127,8 +127,10 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
         _show_plan(study, keys, workers)
         return
     if out is None:
-        raise TermselError("--out is missing",
-                           hint="Give a folder for journal and tables: --out DIR.")
+        error = TermselError("--out is missing",
+                             hint="Give a folder for journal and tables: --out DIR.")
+        error.options["--out"] = free_name("study")
+        raise error
     show_messages()
 
     from termsel.studies import compare as comparing

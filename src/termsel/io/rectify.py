@@ -159,6 +159,15 @@ def rectify(
     for name, value in (("height", height), ("resolution", resolution)):
         if value is not None and not np.isfinite(value):
             raise TermselError(f"the {name} of a map cannot be {value}", hint="Give a number.")
+    if resolution is not None and resolution <= 0.0:
+        raise TermselError(f"the resolution of a map cannot be {resolution:g}",
+                           hint="Give the size of its pixels, a positive number: --res.")
+    if bounds is not None:
+        west, south, east, north = bounds
+        if not (west < east and south < north):
+            raise TermselError("the bounds of the map enclose no area",
+                               hint="Give least x, least y, largest x and largest y, in this "
+                                    "order.")
     if dem is None and height is None and result.fit.model.uses_height:
         raise TermselError("the position of the image on the map depends on the height of the "
                            "ground",

@@ -375,6 +375,9 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         if not overwrite and is_there(path):
             raise TermselError("this file already exists", file=path,
                                hint="Choose another name, or pass overwrite=True.")
+        if path.suffix.lower() not in (".html", ".htm"):
+            raise TermselError("a report is a page of HTML, and this name does not end in .html",
+                               file=path, hint=f"Name it {path.with_suffix('.html').name}.")
         depicted = self
         picture = ""
         if image is not None:

@@ -88,10 +88,10 @@ def require_enough(observations: Observations, criterion: Criterion, model: Sens
                  + CORRECTED * ("rpc" in model.options))
     if criterion.needs_check and len(check) < MIN_CHECK:
         raise TermselError(
-            f"{_too_few_in_words(len(check), 'selection point')} (role check); the criterion "
-            f"{criterion.name} needs at least {MIN_CHECK}",
-            hint="Give more points the role check: they choose among selections. Or choose by "
-                 "leave-one-out, without selection points: --criterion press.")
+            f"{_too_few_in_words(len(check), 'selection point')} (role check), and a search by "
+            f"{criterion.name} chooses by at least {MIN_CHECK}",
+            hint="Give more points the role check. Or choose by leave-one-out, which needs no "
+                 "selection points: --criterion press.")
     _refuse_one_number(observations)
     # The geometry of control matters where nothing else determines the model.
     if fewest == 1:

@@ -7,11 +7,11 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from shlex import quote
+from shlex import join, quote
 
 from termsel.core.errors import TermselError, count_in_words, first_names_in_words
 from termsel.core.files.endings import RASTERS
-from termsel.core.files.names import JOURNAL, is_there
+from termsel.core.files.names import JOURNAL, free_name, is_there
 from termsel.core.files.texts import csv_table
 from termsel.io.result_folder import RECORD, read_result
 from termsel.results.result import Result
@@ -256,18 +256,17 @@ def next_command(study: Study, folder: Path) -> str:
         pictures_folder = points_file.parent
         has_picture = (pictures_folder.is_dir() and len(_pictures_of(
             str(first_usable["data"]), _pictures_in(pictures_folder))) == 1)
-        words = ["termsel", "rectify", quote(str(folder)),
-                 quote(str(pictures_folder)) if has_picture else "IMAGES", "--output",
-                 quote(str(folder.with_name(f"{folder.name}-maps")))]
         dem = dem_of_batch(folder)
-        if read_result(folder / IMAGES / names[first_usable["cell"]]).fit.model.uses_height:
-            words += ["--dem", quote(dem or "DEM")]
-        command = " ".join(words)
-        if has_picture and (dem or "DEM" not in words):
-            return f"Next: {command}   (maps of the usable images)"
+        uses_heights = read_result(
+            folder / IMAGES / names[first_usable["cell"]]).fit.model.uses_height
+        if has_picture and (dem or not uses_heights):
+            maps_folder = free_name(folder.with_name(f"{folder.name}-maps"))
+            words = ["termsel", "rectify", str(folder), str(pictures_folder), "--output",
+                     maps_folder, *(["--dem", dem] if uses_heights and dem else [])]
+            return f"Next: {join(words)}   (maps of the usable images)"
         # What is not known cannot be typed: the page of the worst can, until it is.
         worst_page = quote(str(folder / IMAGES / names[rows[0]["cell"]]))
-        return f"Next: termsel report {worst_page}   (the least certain; maps: {command})"
+        return f"Next: termsel report {worst_page}   (the least certain image)"
     # Rows begin with the worst.
     doubtful_rows = [row for row in rows if row["verdict"] in (UNFIT, DOUBTFUL)]
     if not doubtful_rows:

@@ -18,6 +18,7 @@ from termsel.core.files.atomic import private_folder as private_folder
 from termsel.core.files.atomic import write_bytes as write_bytes
 from termsel.core.files.atomic import write_text as write_text
 from termsel.core.files.lock import lock_folder as lock_folder
+from termsel.core.files.names import free_name as free_name
 from termsel.core.files.names import path_inside as path_inside
 from termsel.core.files.names import refuse_link as refuse_link
 from termsel.core.files.names import require_regular as require_regular

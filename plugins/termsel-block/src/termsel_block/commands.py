@@ -8,7 +8,7 @@ from shlex import quote
 import click
 
 from termsel import TermselError
-from termsel.toolkit import remote_option
+from termsel.toolkit import free_name, remote_option
 
 _PATH = click.Path(path_type=Path)
 
@@ -55,7 +55,9 @@ def block(file: Path, folder: Path | None, overwrite: bool, as_json: bool, verbo
     show_messages()
     read = read_block(file)
     if folder is None:
-        raise TermselError("--out is missing", hint="Give a folder for the block: --out DIR.")
+        error = TermselError("--out is missing", hint="Give a folder for the block: --out DIR.")
+        error.options["--out"] = free_name(file.parent / "adjusted")
+        raise error
     # Minutes of adjustment are not begun for a folder that cannot be written.
     require_free_folder(folder, [image.name for image in read.images], overwrite=overwrite,
                         reads=[file, *read.files])

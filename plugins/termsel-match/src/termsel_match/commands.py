@@ -7,7 +7,6 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from itertools import chain, count
 from pathlib import Path
 from shlex import quote
 from time import monotonic
@@ -17,7 +16,7 @@ import click
 from click.core import ParameterSource
 
 from termsel import TermselError, get, require_replaceable
-from termsel.toolkit import count_in_words, make_printable, refuse_link, remote_option
+from termsel.toolkit import count_in_words, free_name, make_printable, refuse_link, remote_option
 
 if TYPE_CHECKING:
     from termsel import FeatureSet
@@ -373,13 +372,6 @@ def next_map_command(image: Path, reference: Path, points: Path, dem: Path | Non
     for mask in masks:
         words += ["--mask", quote(mask)]
     return " ".join([*words, "-o", free_name("map.tif"), "--out", free_name("result")])
-
-
-def free_name(wanted: str) -> str:
-    """Return a name that nothing in this folder has: the wanted one, or one with a number."""
-    path = Path(wanted)
-    numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
-    return str(next(name for name in chain([path], numbered) if not name.exists()))
 
 
 def next_run_command(start: str | None, image: Path, features: FeatureSet, lines: Path) -> str:

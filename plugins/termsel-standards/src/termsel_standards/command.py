@@ -184,9 +184,9 @@ def _tested_lines(stated: Statements, took: str) -> Iterator[str]:
     yield (f"{stated.source}: {count_in_words(points, 'independent check point')}, {took} no part "
            "in any choice")
     yield ""
-    yield f"{'':8}{'mean':>10}{'std':>10}{'RMSE':>10}{'95 %':>10}{'largest':>10}  normal"
+    yield f"{'':8}{'mean':>10}{'std':>10}{'RMSE':>10}{'95 %':>10}{'largest':>10}  normality"
     for component in stated.components:
-        normal = "-" if component.normal is None else f"p = {component.normal:.2g}"
+        normal = "-" if component.normal is None else f"p {component.normal:.2g}"
         yield (f"{component.name:8}{component.mean:10.3f}{_figure_text(component.deviation)}"
                f"{component.rmse:10.3f}{component.percentile95:10.3f}{component.maximum:10.3f}  "
                f"{normal}")
@@ -257,4 +257,4 @@ def _figure_text(value: float | None) -> str:
 
 def _survey_text(value: float | None) -> str:
     """Return the clause on the RMSE of the survey [m], which says so if it is None: not known."""
-    return "; survey not known" if value is None else f"; survey {value:.3f} m"
+    return "; the error of the survey is not known" if value is None else f"; survey {value:.3f} m"

@@ -8,6 +8,7 @@ import re
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from itertools import chain, count
 from pathlib import Path
 
 from termsel.core.errors import TermselError, count_in_words
@@ -219,3 +220,10 @@ def _is_utf8(path: Path) -> bool:
 def _as_utf8(name: str) -> str:
     """Return the name of a file with replacements for bytes that are no UTF-8."""
     return os.fsencode(name).decode("utf-8", errors="replace")
+
+
+def free_name(wanted: Path | str) -> str:
+    """Return a name that nothing has yet: the wanted one, or one with a number."""
+    path = Path(wanted)
+    numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
+    return str(next(name for name in chain([path], numbered) if not name.exists()))

@@ -67,8 +67,8 @@ class Accept:
         """
         match = _ACCEPT.fullmatch(text)
         if match is None or not 0.0 < float(match[1]) < math.inf:
-            raise TermselError(f"accept does not take {text!r:.40}",
-                               hint="Give the largest RMSE with its unit: 5m or 2px.")
+            raise TermselError(f"--accept is {text!r:.40}, expected a length with its unit",
+                               hint="Give the largest RMSE that is accepted: 5m or 2px.")
         return cls(float(match[1]), match[2])
 
     def __str__(self) -> str:

@@ -111,6 +111,10 @@ def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
     at = places or Places()
     # From here on a study from Python is as one from a file.
     table = {key: _as_study_file_has_it(value) for key, value in table.items()}
+    # The keys of a block are those of its images: it is another kind of file.
+    if "image" in table:
+        raise TermselError("this describes a block of images, not a study",
+                           hint="Adjust it by termsel block FILE --out DIR.")
     for key in table:
         if key not in KEYS:
             raise at.unknown((key,), "key of a study", KEYS)

@@ -19,6 +19,7 @@ from termsel.toolkit import (
     remote_option,
     show_messages,
 )
+from termsel.toolkit.charts import rounded_size_text
 
 if TYPE_CHECKING:
     from termsel_formats.check.comparison import Apart, Deviation
@@ -78,6 +79,8 @@ def check(file: Path, folder: Path | None, as_json: bool, final: bool | None) ->
                                            for deviation in deviations])
         echo("Give --result DIR, the folder of a run, to learn how far that is from its model.")
     else:
+        echo("Largest distance from the model, at the points with their own heights and over the "
+             "image:")
         print_table(("program", "takes", "points [px]", "image [px]", "image [m]"),
                     [_program_row(deviation) for deviation in deviations])
         if {deviation.said or deviation.transformation for deviation in deviations} == {NONE}:
@@ -113,12 +116,12 @@ def _program_row(deviation: Deviation) -> tuple[str, ...]:
     return (deviation.program, deviation.said or deviation.transformation,
             _largest_distance_text(deviation.at_points),
             _largest_distance_text(deviation.over_image),
-            "" if metres is None else f"{metres:,.3g}")
+            "" if metres is None else rounded_size_text(metres))
 
 
 def _largest_distance_text(distances: Apart | None) -> str:
-    """Return the largest distance to three digits; "" if none is known."""
-    return "" if distances is None else f"{distances.largest:,.3g}"
+    """Return the largest distance; "" if none is known."""
+    return "" if distances is None else rounded_size_text(distances.largest)
 
 
 def _warn_of_deviation(deviation: Deviation) -> None:
@@ -138,9 +141,9 @@ def _warn_of_deviation(deviation: Deviation) -> None:
              f"({deviation.said or deviation.transformation}).")
         return
     if worst.largest > WARNING_PX:
-        metres = "" if worst.metres is None else f" ({worst.metres:,.3g} m)"
-        echo(f"Warning: {deviation.program} is up to {worst.largest:,.3g} px{metres} off the "
-             "model, near "
+        metres = "" if worst.metres is None else f" ({rounded_size_text(worst.metres)} m)"
+        echo(f"Warning: {deviation.program} is up to {rounded_size_text(worst.largest)} px{metres} "
+             "off the model, near "
              f"line {worst.line:,.1f}, sample {worst.sample:,.1f}: {deviation.transformation}.")
     lacking = sum(distances.lacking for distances in compared)
     if lacking:
