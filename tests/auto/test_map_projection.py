@@ -83,7 +83,7 @@ def projection_of(result: termsel.Result) -> str:
     return "" if data.fit_crs == data.crs else data.fit_crs.split('"')[1].partition(" about")[0]
 
 
-@pytest.mark.slow_cases("conic-12")
+@pytest.mark.slow_cases("conic-12", "conic-14", "stereographic-10")
 @pytest.mark.parametrize(("projection", "count", "crs"), [
     (CONIC, 6, "EPSG:4326"), (CONIC, 12, "EPSG:4326"), (CONIC, 14, "EPSG:3857"),
     (f"+proj=stere +lat_0=46 +lon_0=7 {EARTH}", 10, "EPSG:4258"),

@@ -261,6 +261,7 @@ def test_workers_and_pieces_do_not_matter(score: str, monkeypatch: pytest.Monkey
     assert whole.total == one[-1].subsets == count_subsets(11, 9)
 
 
+@pytest.mark.slow
 def test_the_bound_never_exceeds_what_it_bounds() -> None:
     """All columns in use or to come leave the least residuals of any selection of them."""
     rng = np.random.default_rng(9)

@@ -174,6 +174,7 @@ def test_the_best_of_every_size_is_that_of_brute_force(case: str, scene: Feature
     assert np.isfinite(objectives.min())
 
 
+@pytest.mark.slow_cases("press-False")
 @pytest.mark.parametrize(("criterion", "has_bound"), [("check-rmse", True), ("press", False)])
 def test_before_its_end_a_proof_bounds_no_size_but_by_what_it_knows_of_all(
         criterion: str, has_bound: bool, scene: FeatureSet) -> None:

@@ -571,6 +571,7 @@ def pictures(asked: list[str]) -> Iterator[str]:
         server.shutdown()
 
 
+@pytest.mark.slow
 def test_tiles_without_a_height_are_square() -> None:
     """As the Image API 3.0 has it in section 5.4; the page would draw lines at other places."""
     description = {"id": "https://images.example/map1", "width": 4000, "height": 3000,

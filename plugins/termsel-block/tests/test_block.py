@@ -369,6 +369,7 @@ def test_heights_of_another_unit_are_said(vendors: Simulated) -> None:
                for note in notes)
 
 
+@pytest.mark.slow
 def test_good_control_stays_and_its_precision_is_true() -> None:
     """Weights that fall made the standard deviation 0.74 times as large in the first stage.
 

@@ -305,6 +305,7 @@ def in_plane_feet(folder: Path, metres_per_z: float, name_of_z: str = "z") -> tu
     return file, in_degrees
 
 
+@pytest.mark.slow_cases("crs-0.3048006096012192-US survey feet", "metre-1.0-metres")
 @pytest.mark.parametrize(("unit", "metres", "words"), [
     ("us-ft", 1200 / 3937, "US survey feet"), ("crs", 1200 / 3937, "US survey feet"),
     ("ft", 0.3048, "feet"), ("metre", 1.0, "metres")])

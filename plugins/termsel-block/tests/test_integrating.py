@@ -36,6 +36,7 @@ def observed(truth: FloatArray, noise: FloatArray, rng: np.random.Generator,
                      cameras, [np.zeros(2)] * IMAGES, SLICES), measured  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_posterior_over_variances_is_true_where_its_prior_is() -> None:
     """Truths are drawn as the prior says: intervals then hold what they say, on average."""
     rng, inside, squares = np.random.default_rng(3), [], []
@@ -94,6 +95,7 @@ def test_terms_of_sensors_scatter_as_the_images_say() -> None:
     assert found["yaw"] == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_steps_that_were_shortened_come_to_an_end() -> None:
     """With derivatives of where it began the block stops at 16 px: each step is a thirtieth."""
     rng = np.random.default_rng([3009, 7])

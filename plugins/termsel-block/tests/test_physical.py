@@ -54,6 +54,7 @@ def errors(result: BlockResult) -> list[float]:
     return found
 
 
+@pytest.mark.slow
 def test_scanners_see_more_than_polynomials(simulated: Simulated, scanners: BlockResult) -> None:
     assert scanners.adjusted.converged
     assert max(errors(scanners)) < 1.2

@@ -57,6 +57,7 @@ def test_images_without_geometry_know_how_uncertain_they_are() -> None:
     assert np.median(off) < 4.0  # px; 7 without it
 
 
+@pytest.mark.slow
 def test_a_wrong_ray_at_the_start_does_not_bend_all_images() -> None:
     """Six points on nearly one plane: the first model of each image has rays 13 degrees off."""
     phases = np.random.default_rng([309, 7]).uniform(0, 2 * np.pi, 4).tolist()

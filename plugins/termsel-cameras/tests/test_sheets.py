@@ -206,6 +206,7 @@ def test_a_series_is_of_the_projection_in_which_its_sheets_are_alike(
     assert rank_by_series([*sheets, sheets[0]], candidates) == ranked
 
 
+@pytest.mark.slow
 def test_a_series_says_which_projections_it_does_not_tell_apart(tmp_path: Path) -> None:
     files = [table(series_sheet(BONNE, number, 2, 1.5), tmp_path / f"{number}.csv")
              for number in range(8)]
