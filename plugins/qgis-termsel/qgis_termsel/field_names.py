@@ -11,19 +11,21 @@ KNOWN = {
     "id": "id name pt ptid ptno point points pointid pointname pointno pointnr pointnumber "
           "gcp gcpid gcpno gcpname gcplabel label nr no num number pkt pktnr punkt punktid "
           "punktnr punktnummer punktname passpunkt nummer numer numero nom nombre punto "
-          "idpunto nome ponto punt puntnummer nazwa naam 点 点号 点名 编号 序号 名称 id号 bod "
+          "idpunto nome ponto punt puntnummer nazwa naam 点 点号 點號 点名 编号 序号 名称 id号 bod "
           "cislobodu pont pontszam nokta tunnus punctul tocka tocke точка точки номер "
           "номерточки назва σημειο 点番号 점 점번호 fid",
     "role": "role use",
     "line": "line row ypx lin lines rows ypix ypixel pixely py imgy imagey yimg yimage lineno "
           "yimagen yimagem imy imrow imgrow imagerow fil renglon yпикс "
           "zeile bildzeile bildy ligne rangee fila linea riga linha wiersz rij regel 行 行号 行数 "
-          "行坐标 pxy riadok radek sor satir rivi rad rekke række rand redak vrstica "
+          "行坐标 图像行 影像行 像素行 图像y 影像y 像素y pxy "
+          "riadok radek sor satir rivi rad rekke række rand redak vrstica "
           "строка ряд рядок γραμμη 행 sourcey",
     "sample": "sample col column xpx pixel samples samp cols columns xpix xpixel pixelx pix px "
           "ximagen ximagem imx imcol imgcol imagecol xпикс "
           "imgx imagex ximg ximage spalte bildspalte bildx colonne columna muestra colonna "
-          "campione coluna kolumna kolom 列 列号 列数 列坐标 pxx sloupec stlpec oszlop sutun "
+          "campione coluna kolumna kolom 列 列号 列数 列坐标 "
+          "图像列 影像列 像素列 图像x 影像x 像素x pxx sloupec stlpec oszlop sutun "
           "sarake kolumn kolonne coloana stupac stolpec столбец колонка стовпець στηλη 열 sourcex",
     "z": "z h height elev elevation alt altitude geoz hohe hoehe hoheunn hoheunhn hauteur altura "
           "altitud altitudine altezza cota quota elevazione elevacion elevacao wysokosc "

@@ -252,7 +252,7 @@ def test_nobody_knows_what_the_points_of_a_table_took_part_in(tmp_path: Path) ->
 
 def test_a_table_that_is_no_text(tmp_path: Path) -> None:
     path = tmp_path / "bad.csv"
-    path.write_bytes(b"\xff\x00id,dx\n")
+    path.write_bytes(b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR")
     with pytest.raises(TermselError, match="binary"):
         read_errors(path)
 
