@@ -149,6 +149,22 @@ def test_a_map_of_the_world_in_mercator_is_fitted_in_mercator() -> None:
     assert rms_error(result, others) < 3.0
 
 
+@pytest.mark.parametrize(("method", "name"), [
+    ("robin", "Robinson"), ("wintri", "Winkel tripel"), ("moll", "Mollweide")])
+@pytest.mark.parametrize(("count", "lon", "width"), [(10, 5.0, 210.0), (20, -20.0, 150.0)])
+def test_a_map_of_the_world_in_an_oval_is_fitted_in_its_projection(
+        method: str, name: str, count: int, lon: float, width: float) -> None:
+    """In degrees such maps bend so much that right points would look like blunders."""
+    features, new = drawn_map(f"+proj={method} +lon_0=0 {EARTH}", count, lon=lon, lat=5.0,
+                              size=width)
+    result = termsel.run(features=features)
+    assert projection_of(result).startswith(name)
+    assert not result.outliers
+    assert rms_error(result, new) < 4.0
+    assert result.predicted is not None
+    assert result.predicted.high < 20.0
+
+
 def test_a_chart_drawn_in_degrees_stays_in_degrees() -> None:
     features, _ = drawn_map(f"+proj=eqc {EARTH}", 14)
     assert projection_of(termsel.run(features=features)) == ""

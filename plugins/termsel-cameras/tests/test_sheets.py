@@ -96,6 +96,16 @@ def test_a_map_across_180_degrees_has_candidates_of_its_place() -> None:
     assert from_greenwich(west, -77.05).points.ground[0, 0] == pytest.approx(142.95)
 
 
+def test_a_map_of_the_world_has_candidates_that_show_all_of_it() -> None:
+    world = candidate_projections(np.array([[-160.0, -55.0], [170.0, 75.0]]))
+    names = {projection.name: projection.crs for projection in world}
+    assert {"Robinson", "Winkel tripel", "Mollweide"} <= set(names)
+    # Of the middle 5 E, as few points have it, and of Greenwich, as most maps have it.
+    assert "+lon_0=0.00000" in names["Robinson"]
+    continent = candidate_projections(np.array([[-15.0, -33.0], [50.0, 35.0]]))
+    assert "Robinson" not in {projection.name for projection in continent}
+
+
 def test_independent_points_do_not_say_which_projections_are_tried() -> None:
     ground = np.array([[7.0, 45.0, np.nan], [8.0, 46.0, np.nan], [20.0, 50.0, np.nan]])
     points = Points(("A", "B", "C"), np.zeros((3, 2)), ground,

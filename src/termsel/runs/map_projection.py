@@ -20,6 +20,7 @@ from termsel.data.coordinates.crs import (
 from termsel.data.coordinates.longitudes import TURN, unwrap_longitudes
 from termsel.data.coordinates.metres import (
     azimuthal_crs,
+    crss_of_the_world,
     is_in_degrees,
     mercator_crs,
     scales_at,
@@ -49,6 +50,15 @@ few points a smaller difference is chance."""
 WORST_PART = 0.1
 """Part of ten held-out points and more, the worst, that decides nothing: one blunder is more than
 all that projections differ by."""
+
+
+WIDE = np.radians(120.0)
+"""Range of longitudes from which on a map may be one of the world, in Robinson's, Winkel's or
+Mollweide's projection."""
+
+NEAR_GREENWICH = 30
+"""Longitude of the middle of control [deg] up to which a map of the world has the meridian of
+Greenwich in its middle: control is seldom at both edges."""
 
 
 def with_map_projection(observations: Observations, auto: Auto) -> tuple[Observations, str]:
@@ -102,7 +112,7 @@ def with_map_projection(observations: Observations, auto: Auto) -> tuple[Observa
     # A projection must be clearly better than the coordinates as they are.
     error_as_given = _typical_error(choice)
     best, best_error = None, error_as_given / CLEARLY
-    for crs in (azimuthal, mercator_crs(features.crs, lon)):
+    for crs in (azimuthal, *_projections_of_the_world(features.crs, angles_of(plan), lon)):
         projected = observations.fitted_in(crs)
         held_out_error = _held_out_error_in(projected, auto)
         if held_out_error < best_error:
@@ -112,6 +122,19 @@ def with_map_projection(observations: Observations, auto: Auto) -> tuple[Observa
     return best, _note(
         best, f"there held-out points are predicted within {best_error:.3g} px, in {given} within "
               f"{error_as_given:.3g} px (RMSE; of ten points and more without the worst tenth)")
+
+
+def _projections_of_the_world(crs: str, angles: FloatArray, lon: int) -> tuple[str, ...]:
+    """Return the projections to try for maps of the world, by longitudes and latitudes of control.
+
+    `angles` (n, 2) are in radians; `lon` is the longitude of their middle [deg].
+    """
+    mercator = mercator_crs(crs, lon)
+    if np.ptp(angles[:, 0]) < WIDE:
+        return (mercator,)
+    # x = longitude times a function of the latitude bends in a projection of another meridian.
+    meridian = 0 if abs(lon) <= NEAR_GREENWICH else lon
+    return (mercator, *crss_of_the_world(crs, meridian))
 
 
 def _note(observations: Observations, reason: str) -> str:

@@ -265,6 +265,22 @@ def mercator_crs(crs: str, lon: int) -> str:
         crs, conversion, f"Mercator about {_in_words(lon, 'EW')}")
 
 
+@lru_cache  # projections are asked for with each set of points of a place
+def crss_of_the_world(crs: str, lon: int) -> tuple[str, ...]:
+    """Return projections that show the whole Earth in an oval, on the datum of `crs`, as WKT.
+
+    They have a central meridian [deg]. Raises TermselError if pyproj is not installed.
+    """
+    _conversions()
+    from pyproj import CRS
+
+    return tuple(_projection_on_datum_of(
+        crs, CRS(f"+proj={method} +lon_0={lon} +type=crs").coordinate_operation,
+        f"{name} about {_in_words(lon, 'EW')}")
+        for name, method in (("Robinson", "robin"), ("Winkel tripel", "wintri"),
+                             ("Mollweide", "moll")))
+
+
 def _conversions() -> Any:
     """Return pyproj's module of conversions; raises TermselError if pyproj is not installed."""
     with require_import("a projection requires", "pyproj", GIS):

@@ -15,6 +15,10 @@ from termsel_cameras.roles import without_independent
 MAX_CANDIDATES = 60
 """Candidates of a file: each takes as long as a choice of the model."""
 
+WIDE, NEAR_GREENWICH = 120.0, 30.0
+"""Range of longitudes [deg] from which on a map may be one of the world, and longitude of its
+middle up to which its middle meridian is Greenwich's."""
+
 
 @dataclass(frozen=True)
 class Projection:
@@ -75,6 +79,12 @@ def candidate_projections(ground: FloatArray, century: int | None = None) -> lis
         Projection("transverse Mercator", f"+proj=tmerc {centre}", first=19),
         Projection(f"UTM {zone}{'S' if lat < 0 else 'N'}",
                    f"EPSG:32{7 if lat < 0 else 6}{zone:02d}", first=20)]
+    if east - west >= WIDE:
+        # Control is seldom at both edges, and most maps of the world have Greenwich in the middle.
+        middle = f"+lon_0={0.0 if abs(lon) <= NEAR_GREENWICH else lon:.5f} {earth}"
+        projections += [Projection("Mollweide", f"+proj=moll {middle}", first=19),
+                        Projection("Winkel tripel", f"+proj=wintri {middle}", first=20),
+                        Projection("Robinson", f"+proj=robin {middle}", first=20)]
     return [projection for projection in projections if century is None
             or projection.first <= century <= projection.last]
 
