@@ -79,3 +79,23 @@ def test_features_are_selected_under_it() -> None:
     assert "P3" not in result.selection.features
     assert result.selection.terms == Helmert2D().terms
     assert result.rmse["check"].total < 2
+
+
+def test_deviations_of_a_similarity_hold_where_the_image_is_no_similar_one() -> None:
+    """Twelve points do not show a shear of a pixel, which other polynomials may have."""
+    squares = []
+    for seed in range(40):
+        rng = np.random.default_rng([7, seed])
+        share = rng.uniform(0.0, 1.0, (112, 2))
+        middle = 2.0 * share - 1.0
+        bent = 0.4 * np.sin(3.0 * middle[:, ::-1] + rng.uniform(0.0, 6.0, 2))
+        image = 1000.0 * share + middle @ rng.normal(0.0, 0.6, (2, 2)) + bent
+        ground = np.column_stack([500.0 * share[:, 1], -500.0 * share[:, 0],
+                                  np.full(len(share), np.nan)])
+        measured = image[:12] + rng.normal(0.0, 0.5, (12, 2))
+        points = Points(tuple(map(str, range(12))), measured, ground[:12])
+        fitted = termsel.fit(FeatureSet(points, crs="local"), "helmert2d")
+        errors = fitted.project(ground[12:]) - image[12:]
+        squares.append(np.mean((errors / fitted.sigma(ground[12:]))**2))
+    # By the noise alone the errors are 1.2 to 1.3 standard deviations.
+    assert 0.8 < np.sqrt(np.mean(squares)) < 1.1

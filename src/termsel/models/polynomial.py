@@ -147,6 +147,11 @@ class Helmert2D(SensorModel):
         """Image axis of each term, (4,): the scale and the turn act on both."""
         return np.array([LINE, SAMPLE, BOTH, BOTH], dtype=np.intp)
 
+    @property
+    def polynomial_degree(self) -> int:
+        """1: a similarity is an affine map of which two coefficients follow from the others."""
+        return 1
+
     def equations(self, features: FeatureSet) -> Equations:
         """Return the equations of points and of lines, which are exact."""
         return image_equations(features, self._design_rows(features.points.ground),
