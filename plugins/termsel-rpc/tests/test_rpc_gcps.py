@@ -236,7 +236,7 @@ def test_damaged_record_of_a_geometry(model: str, option: str, text: str) -> Non
 def test_own_points_do_not_take_the_rpc_of_the_embedded_ones() -> None:
     with pytest.raises(TermselError, match="requires the RPC to refine") as caught:
         termsel.run("rpc-gcps", features=simulate_candidates())
-    assert "--rpc FILE" in str(caught.value)
+    assert "rpc=FILE" in str(caught.value)
 
 
 def test_embedded_points_are_as_stated() -> None:

@@ -207,7 +207,7 @@ def _agreement_text(accuracy: Accuracy, predicted: Predicted) -> str:
     if chance < RARE:
         return f": the prediction was too {'small' if is_above else 'large'}"
     # One measured value in ten lies outside its interval; how far outside shows more.
-    return f": {'lower' if is_above else 'higher'}; chance of such a gap {100 * chance:.0f} %"
+    return f": such a gap has a chance of {100 * chance:.0f} %"
 
 
 def _doubt_clauses(record: Record, accuracy: Accuracy) -> list[str]:

@@ -231,7 +231,7 @@ def model_title(record: Record) -> str:
     if strategy is None:
         return _title_by_degree(record.model, record.options.model.get("degree"))
     if shift := _shift_in_words(record):
-        return f"vendor RPC plus {shift}"
+        return f"vendor RPC {shift}"
     # So few points in a plane decide nothing: what is called a cubic polynomial is mostly affine.
     if record.model == "field" and record.selection.n_features < SPLINE_MAX_POINTS:
         return "average of polynomials, a spline and local deformation"
@@ -260,7 +260,7 @@ def _title_by_degree(model: str, degree: object) -> str:
 
 
 def _shift_in_words(record: Record) -> str:
-    """Return the shift that corrects a vendor's RPC in the middle of the control, in px.
+    """Return the correction of a vendor's RPC in words: its shift [px], and where it has that.
 
     Returns "" for a model without a constant in either axis, which only the affine correction of an
     RPC has, and for a correction whose coefficients are all 0.
@@ -274,7 +274,12 @@ def _shift_in_words(record: Record) -> str:
     # Coefficients are in the scaled units of the image.
     line = coefficients["line.bias:1"] * record.scaling.line_scale
     sample = coefficients["sample.bias:1"] * record.scaling.sample_scale
-    return f"shift at the control ({line:+.2f}, {sample:+.2f} px in line, sample)"
+    shift = f"by {line:+.2f} px in line and {sample:+.2f} px in sample"
+    # With further coefficients the correction differs from place to place.
+    further = coefficients.keys() - {"line.bias:1", "sample.bias:1"}
+    if any(coefficients[name] for name in further):
+        return f"corrected, in the middle of the control {shift}"
+    return f"shifted {shift}"
 
 
 def _model_in_words(record: Record) -> str:
@@ -311,7 +316,7 @@ def _model_in_words(record: Record) -> str:
         return f"{text}; stable over {record.stability.repeats} selections"
     is_all_in_use = (selection.n_terms == offered.n_terms
                      and selection.n_features == offered.n_features)
-    return text if is_all_in_use else f"{text}, selected by {_solver_text(record)}"
+    return text if is_all_in_use else f"{text}, by {_solver_text(record)}"
 
 
 def _fit_crs_in_words(record: Record) -> str:
@@ -324,7 +329,20 @@ def _solver_text(record: Record) -> str:
     """Return the solver, and that of the second step if it has its own."""
     options = record.options.problem
     second = options.get("then") if options.get("steps", "joint") != "joint" else None
-    return f"{record.solver} and {second}" if second else record.solver
+    first = _solver_in_words(record.solver)
+    return f"{first} and {_solver_in_words(str(second))}" if second else first
+
+
+_SEARCHES = {"ga": "genetic search", "ga-steady": "genetic search", "exact": "exact search",
+             "random": "random search", "pso": "particle swarm", "nsga2": "NSGA-II",
+             "ica": "imperialist competition", "swap": "exchange of single ones",
+             "deap": "DEAP", "pymoo": "pymoo"}
+"""What the screen calls searches, by the names of their solvers."""
+
+
+def _solver_in_words(name: str) -> str:
+    """Return what the screen calls a search: words, or the name of its solver."""
+    return _SEARCHES.get(name, f"the solver {name}")
 
 
 def were_selectable(record: Record) -> bool:
@@ -499,7 +517,7 @@ def _comparison_with_rival(record: Record, rival: BaselineRow) -> Iterator[str]:
     if _shift_in_words(record) and rival.name.startswith(_RPC) and rival.name != AS_DELIVERED:
         yield from _rmse_as_delivered(record)
         return
-    name = "automatic choice without a search" if strategy is None else label_of(rival.name)
+    name = "automatic choice without a search" if strategy is None else _rival_in_words(rival)
     if strategy is not None:
         gains = {row.name: row.gain for row in strategy.candidates}
         verdict = verdict_on_choice(own_rmse, rival_rmse, record.reference, gains,
@@ -521,12 +539,18 @@ def _comparison_with_rival(record: Record, rival: BaselineRow) -> Iterator[str]:
             predicted_text = ""
         else:
             predicted_text = rounded_size_text(record.predicted.rmse)
-        own = "" if own_text in (predicted_text, rival_text) else f" (this model alone {own_text})"
+        own = "" if own_text in (predicted_text, rival_text) else f", this model {own_text}"
         yield f"{name} {rival_text} px in leave-one-out{own}: {verdict}"
     else:
         yield f"{name} {rounded_size_text(rival_rmse)} px: {verdict}"
     if _shift_in_words(record) and rival.name != AS_DELIVERED:
         yield from _rmse_as_delivered(record)
+
+
+def _rival_in_words(rival: BaselineRow) -> str:
+    """Return what the screen calls a rival: its label, with the DLT spelt out."""
+    label = label_of(rival.name)
+    return "direct linear transformation (DLT)" if label == "DLT" else label
 
 
 def _rmse_as_delivered(record: Record) -> Iterator[str]:
@@ -549,7 +573,8 @@ def _conventional_rmse(record: Record, row: BaselineRow) -> Iterator[str]:
     """Yield the RMSE of the conventional fit, of all terms to all control, at independent points.
 
     Nothing is yielded if that is not known, or if the fit is the record's own. The text says what
-    the record's fit lacks: "all 24 points" if it left out features, else "all 12 terms".
+    the record's fit lacks: "fit to all 24 points" if it left out features, else "fit of all 12
+    terms".
     """
     total = row.rmse.independent.total
     if total is None or not row.determined or record.solver == row.name:
@@ -558,9 +583,9 @@ def _conventional_rmse(record: Record, row: BaselineRow) -> Iterator[str]:
     excluded = any(outlier.excluded for outlier in record.outliers)
     lacks_features = record.selection.n_features < record.offered.n_features
     if lacks_features:
-        fitted = f"all {record.offered.n_features} {record.data.counts.word}"
+        fitted = f"fit to all {record.offered.n_features} {record.data.counts.word}"
     else:
-        fitted = f"all {record.offered.n_terms} terms"
+        fitted = f"fit of all {record.offered.n_terms} terms"
     yield f"{fitted}{', outliers included' if excluded else ''}: {rounded_size_text(total)} px"
 
 
