@@ -142,8 +142,7 @@ def test_messages_to_python_name_arguments_and_no_options(tmp_path: Path) -> Non
     ("Leave --crs out, or state --crs EPSG:4979.", "Leave crs out, or state crs='EPSG:4979'."),
     ("Give --dem FILE or --height 12.5, in Python dem= or height=.",
      "Give dem=FILE or height=12.5."),
-    ("Add --set swapped=xy; --no-final takes it", "Add options={'swapped': 'xy'}; final=False "
-                                                  "takes it"),
+    ("Add --set swapped=xy; --no-final takes it", "Add swapped='xy'; final=False takes it"),
     ("--solver exact or --method cubic, but --solver is", "solver='exact' or method='cubic', but "
                                                           "solver is"),
     ("Of many: termsel compare --points 'a/*.csv' --out DIR. Leave --points out.",

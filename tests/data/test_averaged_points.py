@@ -36,7 +36,7 @@ def test_all_points_at_one_place_are_named_at_once(tmp_path: Path) -> None:
     assert caught.value.what == ("points 'a' and 'b'; 'c', 'd' and 'e' each have the same "
                                  "ground coordinates")
     assert caught.value.line == 4
-    assert "--set repeated=average" in (caught.value.hint or "")
+    assert "repeated='average'" in (caught.value.hint or "")
 
 
 def test_no_mean_is_offered_of_points_at_zero(tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def test_the_command_for_a_table_without_header_is_right(kind: str, order: str, 
     path.write_bytes(table("", order=order, **more))
     with pytest.raises(TermselError, match="no header that names its columns") as caught:
         termsel.read(path, crs="EPSG:4979")
-    assert f"--columns {caught.value.options['--columns']!r}" in str(caught.value)
+    assert f"columns={caught.value.options['--columns']!r}" in str(caught.value)
     agree(termsel.read(path, crs="EPSG:4979", columns=caught.value.options["--columns"]))
 
 
@@ -139,7 +139,7 @@ def test_what_the_file_leaves_open_is_asked(tmp_path: Path, decimal: str, line: 
     with pytest.raises(TermselError, match="may be above one thousand or not") as caught:
         termsel.read(path, crs="local")
     assert (caught.value.line, caught.value.column) == (2, "line")
-    assert "--set decimal=comma or decimal=point" in str(caught.value)
+    assert "decimal='comma' or decimal='point'" in str(caught.value)
     assert termsel.read(path, crs="local", decimal=decimal).points.image[0, 0] == line
 
 

@@ -128,6 +128,6 @@ def test_heights_in_feet_are_no_part_of_an_image() -> None:
     typed = replace(features, rpc=raised, points=replace(features.points, ground=ground))
     with pytest.raises(TermselError, match="As feet they are inside") as no:
         termsel.run(features=typed)
-    assert "--set z_unit=ft" in str(no.value.hint)
+    assert "z_unit='ft'" in str(no.value.hint)
     ground[:, 2] *= 0.3048
     termsel.run(features=replace(typed, points=replace(features.points, ground=ground)))

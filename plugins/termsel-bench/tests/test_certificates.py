@@ -345,7 +345,7 @@ def test_exact_writes_a_certificate_that_a_process_without_the_solver_checks(
 @pytest.mark.parametrize(("options", "criterion", "said"), [
     ({"certificate": "proof.json"}, "check-rmse", "Accepted: true | false"),
     ({"certificate": True}, "press", "no certificate of this problem"),
-    ({"certificate": True, "mask": "shared"}, "check-rmse", "mask=per-axis"),
+    ({"certificate": True, "mask": "shared"}, "check-rmse", "mask='per-axis'"),
 ])
 def test_what_cannot_be_certified_is_refused_at_once(
         tmp_path: Path, options: dict[str, Any], criterion: str, said: str) -> None:
@@ -359,7 +359,7 @@ def test_what_cannot_be_certified_is_refused_at_once(
 def test_a_certificate_needs_the_folder_of_a_result() -> None:
     with pytest.raises(termsel.TermselError, match="file of the folder of a result") as caught:
         termsel.run("poly-terms", solver="exact", options={"certificate": True})
-    assert "--out" in str(caught.value.hint)
+    assert "out=DIR" in str(caught.value.hint)
     with pytest.raises(termsel.TermselError, match="keep no certificates"):
         termsel.compare(problems=["poly-terms"], solvers=["exact"], options={"certificate": True})
 

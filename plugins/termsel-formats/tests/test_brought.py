@@ -430,7 +430,7 @@ def test_links_without_a_header_count_from_corners(tmp_path: Path) -> None:
     """With one residual they have a width that no reader takes without a word."""
     path = tmp_path / "links.txt"
     path.write_text("\n".join(f"{row}\t0.12" for row in links().splitlines()))
-    with pytest.raises(TermselError, match="image_origin=y-up-corner") as caught:
+    with pytest.raises(TermselError, match="image_origin='y-up-corner'") as caught:
         termsel.read(path, crs="EPSG:32633")
     read = termsel.read(path, crs="EPSG:32633", columns=caught.value.options["--columns"],
                         image_origin=caught.value.options["--set"].partition("=")[2])

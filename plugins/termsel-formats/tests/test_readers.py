@@ -212,7 +212,7 @@ def test_projections_of_envi(tmp_path: Path, projection: str, crs: str) -> None:
 def test_several_images_of_envi(tmp_path: Path) -> None:
     head = "; ENVI Rigorous Orthorectification GCP File\n;\n"
     path = put(tmp_path, head + "0 1 2 3 4 5\n2 6 7 8 9 10\n")
-    with pytest.raises(TermselError, match=r"images 0, 2. Choose one with --set image_number=N"):
+    with pytest.raises(TermselError, match=r"images 0, 2. Choose one with image_number=N"):
         termsel.read(path, crs="local")
     assert termsel.read(path, crs="local", image_number=2).points.image.tolist() == [[8.5, 7.5]]
 

@@ -187,7 +187,7 @@ def test_second_places_on_the_ground_are_read_as_points(file: Any) -> None:
     path = file("x0,y0,x1,y1,confidence\n20.5,10.25,616287.6,5179799.8,0.9\n")
     with pytest.raises(TermselError, match="x1 and y1 are beyond any image") as error:
         read(path)
-    assert "--columns sample=x0,line=y0,x=x1,y=y1" in str(error.value)
+    assert "columns='sample=x0,line=y0,x=x1,y=y1'" in str(error.value)
 
 
 def test_a_match_outside_the_image_is_left_out_with_its_line(

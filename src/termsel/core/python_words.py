@@ -11,7 +11,8 @@ _COMMAND = re.compile(r"(?:\btermsel [a-z]|\bgdal|\bogr2ogr |\bpip ).*?(?=[.;:,)
 _BOTH = re.compile(r", in Python [\w=' ]+?(?=[.:;,)]|$)")
 """The argument that a message names beside an option."""
 
-_NAMED = re.compile(r"--(?P<name>solver|method|model|criterion|strategy|resampling)[ =]"
+_NAMED = re.compile(r"--(?P<name>solver|method|model|criterion|strategy|resampling|format|to)"
+                    r"[ =]"
                     r"(?!(?:or|and|out|to|is|in|with|as|for|has|of)\b)(?P<value>[a-z][\w-]*)")
 """An option with the name of something, which is a plain word."""
 
@@ -52,7 +53,7 @@ def _with_arguments(text: str, arguments: Collection[str]) -> str:
         if name in _FLAGS and not value:
             return _FLAGS[name]
         if name == "set":
-            return _set_in_words(value, arguments)
+            return _set_in_words(value)
         own = next((known for known in _ARGUMENTS.get(name, ()) if known in arguments),
                    name.replace("-", "_"))
         return own if value is None else f"{own}={_literal(value)}"
@@ -61,14 +62,13 @@ def _with_arguments(text: str, arguments: Collection[str]) -> str:
     return _OPTION.sub(written, text)
 
 
-def _set_in_words(pair: str | None, arguments: Collection[str]) -> str:
-    """Return how an option of data or of a model is given: by its name, or among the options."""
-    if pair is None:
-        return "options="
-    name, _, value = pair.strip("'").partition("=")
-    if name in arguments or "options" not in arguments:
-        return f"{name}={_literal(value)}"
-    return f"options={{{name!r}: {_literal(value)}}}"
+def _set_in_words(pair: str | None) -> str:
+    """Return an option of data, of a file or of a model by its name.
+
+    Whether a function takes it so, among its options, or not at all, the function says itself.
+    """
+    name, _, value = (pair or "options").strip("'").partition("=")
+    return f"{name}={_literal(value)}" if value else name
 
 
 def _literal(value: str) -> str:

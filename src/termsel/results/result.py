@@ -408,15 +408,9 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         folder : path-like
             Where the result was written; by default nowhere.
         """
-        options = options_of_next_run(self)
-        arguments = [f"{name.removeprefix('--')}={value!r}" for name, value in options.items()
-                     if name == "--crs"]
-        if others := dict(value.partition("=")[::2] if name == "--set"
-                          else (name.removeprefix("--"), value)
-                          for name, value in options.items() if name != "--crs"):
-            arguments.append(f"options={others!r}")
-        again = f"run again with {', '.join(arguments)}" if arguments else ""
-        return next_step_for_user(self, str(folder), again)
+        again = [_argument_of(name, value) for name, value in options_of_next_run(self).items()]
+        command = f"run again with {', '.join(again)}" if again else ""
+        return next_step_for_user(self, str(folder), command)
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
         """Return a title and the rows, by their heads, by which a result shows itself."""
@@ -436,6 +430,15 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
             "blunders left out": ", ".join(left_out_ids) or "none",
             "accuracy": accuracy_of(self),
             "see": "summary(), plot.residuals(), report('report.html')"}
+
+
+def _argument_of(option: str, value: str) -> str:
+    """Return an option of the command line as an argument of `termsel.run`."""
+    if option == "--set":
+        name, _, text = value.partition("=")
+        return f"features=termsel.read(FILE, {name}={text!r})"
+    name = option.removeprefix("--")
+    return f"crs={value!r}" if name == "crs" else f"options={{{name!r}: {value!r}}}"
 
 
 def require_result(value: object, verb: str) -> None:

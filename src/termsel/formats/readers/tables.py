@@ -915,7 +915,7 @@ def _decimal_signs(table: Table, decimal: str | None, *, points_only: bool) -> d
             raise table.error(
                 f"{columns[meaning][row].strip()!r} may be above one thousand or not, and no "
                 "other column decides it", row, meaning, "State the decimal sign: --set "
-                                                         "decimal=comma or decimal=point.")
+                                                         "decimal=comma or --set decimal=point.")
     if resolved:
         # The user must know: a wrong sign changes numbers by a factor of a thousand.
         sign_name = "comma" if signs[resolved[0]] == COMMA else "point"
