@@ -281,7 +281,7 @@ def _lattice_of(arrays: Arrays, path: Path, meshes: int | None) -> FeatureSet:
 
     If `meshes` is not None, it has that many meshes either way. Nodes without coordinates are left
     out, and so are all heights if one of them is unknown. Raises TermselError if fewer than four
-    nodes remain, or if latitudes are beyond 90 degrees.
+    nodes remain, or if latitudes are beyond 90 degrees in arrays that name no CRS.
     """
     image, ground = _sample_densely_enough(arrays, meshes)
     # Pixels beyond the edge of the Earth, or in gaps of a swath, have no coordinates.
@@ -289,6 +289,7 @@ def _lattice_of(arrays: Arrays, path: Path, meshes: int | None) -> FeatureSet:
     if finite.sum() < 4:
         raise TermselError(
             "this array has fewer than four nodes", file=path, hint=_GEOLOCATION_HINT)
+    # Arrays that name a CRS may be in metres.
     if (np.abs(ground[finite, 1]) > 90.0).any() and not arrays.crs:
         raise TermselError(
             "the latitudes of this array are beyond 90", file=path, hint=_GEOLOCATION_HINT)

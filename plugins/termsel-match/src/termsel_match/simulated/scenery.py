@@ -28,6 +28,8 @@ _FRACTION_BITS = 4
 _TOWN = 0.3
 # Distance of its streets [m].
 _STREET_DISTANCE = 70.0
+# Width of its streets [m].
+_STREET_WIDTH = 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +179,8 @@ def _random_parcels(rng: np.random.Generator, extent: float, cell: float, n: int
 def _random_highways(rng: np.random.Generator, extent: float) -> list[Road]:
     """Return roads through a square whose side is `extent` [m].
 
-    They have straight pieces with gentle bends between them, and are 6 to 11 m wide.
+    They have straight pieces with gentle bends between them, and are more than `_STREET_WIDTH` and
+    up to 11 m wide.
     """
     roads = []
     count = max(6, round(extent / 250))
@@ -192,7 +195,7 @@ def _random_highways(rng: np.random.Generator, extent: float) -> list[Road]:
         start = np.array([-0.1 * extent, (i // 2 + rng.uniform(0.2, 0.8)) * 2 * extent / count])
         vertices = np.concatenate([start[None], start + np.cumsum(move, axis=0)])
         roads.append(Road(vertices[:, ::-1] if is_eastward else vertices,
-                          float(rng.uniform(6, 11))))
+                          float(rng.uniform(_STREET_WIDTH, 11))))
     return roads
 
 
@@ -212,13 +215,13 @@ def _town_streets(rng: np.random.Generator, extent: float) -> list[Road]:
         for offset in offsets:
             # A little over half of the town to either side, so that the outer streets cross.
             vertices = centre + town * 0.52 * np.array([[-1], [1]]) * axes[way]
-            streets.append(Road(vertices + offset * axes[1 - way], 6.0))
+            streets.append(Road(vertices + offset * axes[1 - way], _STREET_WIDTH))
     return streets
 
 
 def _houses_along_roads(rng: np.random.Generator, extent: float, roads: tuple[Road, ...],
                         ) -> tuple[list[FloatArray], list[float], list[int]]:
-    """Return footprints, heights [m] and brightness of houses along the roads.
+    """Return footprints (4, 2) [m], heights [m] and brightness of roofs of houses along the roads.
 
     `extent` is the side of the square [m]. Houses stand at both sides of a road and turned like it,
     closer to each other in towns; their corners are what a matcher finds in both images, and their
@@ -232,7 +235,8 @@ def _houses_along_roads(rng: np.random.Generator, extent: float, roads: tuple[Ro
             length = float(np.linalg.norm(end - start))
             ahead = (end - start) / length
             aside = np.array([-ahead[1], ahead[0]])
-            town = road.width == 6.0
+            # All other roads are wider.
+            town = road.width == _STREET_WIDTH
             # Houses every 24 m in towns and every 60 m elsewhere, with gaps.
             for at in np.arange(20.0, length - 15, 24.0 if town else 60.0):
                 if rng.random() < (0.25 if town else 0.6):

@@ -198,11 +198,10 @@ class World:
         )
 
     def image(self) -> NDArray[np.uint16]:
-        """Return the image: 11 bits, by rays that meet houses and terrain.
+        """Return the image of the satellite (lines, samples), with grey values of 11 bits.
 
-        A ray is straight between the lowest ground and the tallest roof, and shows the first of the
-        two that it meets. Noise and a floor of grey follow, so that matching is no easier than in
-        real images.
+        Each pixel shows what its ray meets first, a house or the terrain. Noise and a floor of grey
+        are added, so that matching is no easier than in real images.
         """
         day = self._lit_brightness(0)
         low = float(self.heights.min()) - 1
