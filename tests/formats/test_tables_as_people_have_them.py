@@ -261,7 +261,7 @@ HOSTILE: dict[str, tuple[bytes, str]] = {
     "GeoJSON without pixels": (geojson(lambda i: {"a": i}), "has ground coordinates alone"),
     "cut database": (b"SQLite format 3\0" + bytes(52) + b"GP10" + bytes(99),
                      "cannot read|no geometry"),
-    "unknown column": (CLEAN.replace(b"Row", b"Quux"), "--columns 'id=Name,line=Quux,"),
+    "unknown column": (CLEAN.replace(b"Row", b"Quux"), "columns='id=Name,line=Quux,"),
 }
 
 

@@ -121,9 +121,9 @@ def test_two_steps_share_a_budget(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(("then", "options", "said"), [
-    ("exact", {}, "'exact' cannot do the second step: .* such as --then ga"),
+    ("exact", {}, "'exact' cannot do the second step: .* such as then='ga'"),
     ("ridge", {}, "'ridge' cannot do the second step"),
-    ("ga-correlation", {}, "'ga-correlation' cannot .* such as --then ga"),
+    ("ga-correlation", {}, "'ga-correlation' cannot .* such as then='ga'"),
     ("deap", {"then.select": "selMagic"}, "selMagic")])
 def test_a_solver_that_cannot_do_the_second_step_is_refused_before_the_first(
         then: str, options: dict[str, str], said: str) -> None:
@@ -136,9 +136,9 @@ def test_a_solver_that_cannot_do_the_second_step_is_refused_before_the_first(
 
 
 @pytest.mark.parametrize(("given", "message"), [
-    ({"then": "pso"}, "steps=joint has one. Add --set steps=features-first"),
+    ({"then": "pso"}, "steps=joint has one. Add steps='features-first'"),
     ({"then.population": 9}, "then.population is for .* steps=joint has one"),
-    ({"then.population": 9, "steps": "terms-first"}, "and --then names none"),
+    ({"then.population": 9, "steps": "terms-first"}, "and then names none"),
     ({"then": "swarm", "steps": "terms-first"}, "unknown solver 'swarm'"),
     ({"then": "nsga2", "steps": "terms-first"}, "'nsga2' cannot handle 1 objective.*Choose one"),
     ({"then": "pso", "steps": "terms-first", "population": 9}, "write|Write solver.population")])

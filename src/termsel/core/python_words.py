@@ -11,9 +11,10 @@ _COMMAND = re.compile(r"(?:\btermsel [a-z]|\bgdal|\bogr2ogr |\bpip ).*?(?=[.;:,)
 _BOTH = re.compile(r", in Python [\w=' ]+?(?=[.:;,)]|$)")
 """The argument that a message names beside an option."""
 
-_NAMED = re.compile(r"--(?P<name>solver|method|model|criterion|strategy|resampling|format|to)"
+_NAMED = re.compile(r"--(?P<name>solver|method|model|criterion|strategy|resampling|format|to|then)"
                     r"[ =]"
-                    r"(?!(?:or|and|out|to|is|in|with|as|for|has|of)\b)(?P<value>[a-z][\w-]*)")
+                    r"(?!(?:or|and|out|to|is|in|with|as|for|has|of|names|says|takes|chooses)\b)"
+                    r"(?P<value>[a-z][\w-]*)")
 """An option with the name of something, which is a plain word."""
 
 _OPTION = re.compile(

@@ -125,7 +125,7 @@ def second_solver(recipe: Recipe, settings: Mapping[str, Any]) -> Any:
             raise TermselError(
                 f"{second_solver_keys[0] if stated is None else '--then'} is for the solver of the "
                 "second of two steps, and steps=joint has one",
-                hint="Add --set steps=features-first or steps=terms-first.")
+                hint="Add --set steps=features-first or --set steps=terms-first.")
         return None
     # None where the second step has the solver of the first.
     solver = defaults["then"] if stated is None else stated
