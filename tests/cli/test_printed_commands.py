@@ -17,7 +17,7 @@ Call = Callable[..., SimpleNamespace]
 Row = list[str]
 
 _PRINTED = re.compile(
-    r"(?:Next|Ready to run|Guess 1 of \d|A guess, to check): termsel (.*?)(?:   \(.*)?$",
+    r"(?:Next|Ready to run|Guess 1 of \d, to check|A guess, to check): termsel (.*?)(?:   \(.*)?$",
     re.MULTILINE)
 """A command after its label, without the remark that may follow in brackets."""
 ID, LINE, SAMPLE, X, Y, Z = 0, 2, 3, 4, 5, 6
@@ -28,7 +28,7 @@ def folder(example_files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     """Return the current folder, which has a blank in its name and files of the example."""
     files = tmp_path / "my files"
     files.mkdir()
-    for name in ("gcps.csv", "scene.points", "scene.tif", "dem.tif", "vendor.RPB", "lines.csv"):
+    for name in ("gcps.csv", "noheader.txt", "roads.geojson", "roads.csv"):
         shutil.copy(example_files / name, files)
     monkeypatch.chdir(files)
     return files
@@ -77,6 +77,15 @@ SITUATIONS: dict[str, tuple[Callable[[], None], list[str]]] = {
     "all points fit": (lambda: write_points("p.csv"), ["run", "p.csv", "--out", "a result"]),
     "heights alone are in doubt": (
         lambda: write_points("p.csv"), ["run", "p.csv", "--crs", "WGS84"]),
+    "no header": (
+        lambda: None, ["run", "noheader.txt", "--crs", "EPSG:4979", "--out", "b"]),
+    "lines by another property": (
+        lambda: None, ["run", "--lines", "roads.geojson", "--image-lines", "roads.csv"]),
+    "a saved run again": (
+        lambda: write_points("p.csv", exchange(X, Y)),
+        ["run", "p.csv", "--out=r", "--set=swapped=line-sample", "--overwrite"]),
+    "no folder for a batch": (
+        lambda: write_points("my points.csv"), ["compare", "--points", "my points.csv"]),
 }
 
 
@@ -91,3 +100,11 @@ def test_a_printed_command_runs_as_it_is(situation: str, folder: Path, call: Cal
     assert again.exit_code == 0, again.stderr
     # The command has mended what was wrong, and prints another.
     assert command not in ([], printed_command(again) if "Next: termsel" in again.stdout else None)
+
+
+def test_a_block_in_place_of_a_study_has_its_command(folder: Path, call: Call) -> None:
+    (folder / "block.toml").write_text('crs = "EPSG:4979"\n[[image]]\nname = "A"\n')
+    done = call("compare", "block.toml", "--out", "study")
+    assert done.exit_code == 2
+    assert "block.toml: this describes a block of images, not a study" in done.stderr
+    assert "termsel block block.toml --out adjusted" in done.stderr

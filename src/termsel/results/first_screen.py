@@ -278,7 +278,7 @@ def _shift_in_words(record: Record) -> str:
     # With further coefficients the correction differs from place to place.
     further = coefficients.keys() - {"line.bias:1", "sample.bias:1"}
     if any(coefficients[name] for name in further):
-        return f"corrected, in the middle of the control {shift}"
+        return f"corrected {shift} at the middle of the control"
     return f"shifted {shift}"
 
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
+from shlex import join
 from typing import Any
 
 import numpy as np
 
 from termsel.core.errors import TermselError, is_printable
+from termsel.core.files.names import free_name
 from termsel.core.options import MOST_RUNS, SEED, Configurable
 from termsel.data.features import FeatureSet
 from termsel.formats.toml_files import read_toml
@@ -83,6 +85,12 @@ def read_spec(file: Path) -> Spec:
     """Return the spec of a study file; errors name line and column."""
     table, text = read_toml(file, "a study file",
                             "termsel example DIR writes a study.toml to begin with.")
+    # The file of a block lists its images, and is another kind of file.
+    if "image" in table:
+        command = join(["termsel", "block", str(file), "--out",
+                        free_name(file.parent / "adjusted")])
+        raise TermselError("this describes a block of images, not a study", file=file,
+                           hint=f"Adjust it: {command}")
     return spec_of(table, places_of(text, file))
 
 
@@ -111,10 +119,6 @@ def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
     at = places or Places()
     # From here on a study from Python is as one from a file.
     table = {key: _as_study_file_has_it(value) for key, value in table.items()}
-    # The keys of a block are those of its images: it is another kind of file.
-    if "image" in table:
-        raise TermselError("this describes a block of images, not a study",
-                           hint="Adjust it by termsel block FILE --out DIR.")
     for key in table:
         if key not in KEYS:
             raise at.unknown((key,), "key of a study", KEYS)
