@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -73,6 +74,15 @@ def test_heights_count_by_what_they_do_in_the_image() -> None:
     low, level = (scene(10, relief, 20, 4).features for relief in (8, 0))
     assert FitData.of(low).heights
     assert not FitData.of(level).heights
+
+
+@pytest.mark.parametrize(("relief", "columns"), [(0, 3), (100, 4)])
+def test_heights_of_a_view_are_judged_without_scipy(
+        relief: int, columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "scipy.special", None)  # it takes 0.1 s to import
+    found = view_of(FitData.of(scene(20, relief, 9, 17).features).scaled.points)
+    assert found is not None
+    assert found.matrix.shape == (3, columns)
 
 
 def test_a_pole_among_the_control_is_refused_and_named() -> None:

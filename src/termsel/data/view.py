@@ -14,6 +14,7 @@ import numpy as np
 
 from termsel.data.coordinates.places import spatial_order
 from termsel.data.features import BoolArray, FloatArray, Points, empty_points
+from termsel.data.record.chances import chance_of_better_fit
 from termsel.data.tables.tabular import replace_unchecked
 
 # Points as the key of what is kept of them: equal measurements are one, whatever their names.
@@ -217,8 +218,6 @@ def _heights_show(view: CentralView, points: Points) -> bool:
     and S0 that of the one without heights with f + 3. If heights have no effect, (S0 - S) / 3 over
     S / f has an F distribution.
     """
-    from scipy.special import fdtri  # views without heights need not import it
-
     plane = _projection_columns(points.ground, 3)
     # What of the heights a plane explains, the other columns of a projection do.
     heights = points.ground[:, 2]
@@ -231,8 +230,10 @@ def _heights_show(view: CentralView, points: Points) -> bool:
     plane_squares = float(((points.image - _project_with_matrix(matrix, plane)) ** 2).sum())
     freedom = points.image.size - _unknowns(4)
     squares = view.sigma**2 * freedom
-    gain = (plane_squares - squares) / 3
-    return bool(gain * freedom > fdtri(3, freedom, HEIGHT_CONFIDENCE) * squares)
+    if squares >= plane_squares:
+        return False
+    chance = chance_of_better_fit(squares / plane_squares, freedom, 3)
+    return chance < 1.0 - HEIGHT_CONFIDENCE
 
 
 def _clearly_better_view(points: Points, size: int) -> CentralView | None:
