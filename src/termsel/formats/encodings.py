@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import logging
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 from termsel.core.errors import TermselError
@@ -22,6 +23,7 @@ from termsel.data.tables.columns import (
 log = logging.getLogger(__name__)
 
 _LOOKED_AT = 400  # bytes that show whether a text is UTF-16
+_NAMED_WITHIN = 65_536  # bytes in which columns are named, below comments
 _UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _CONTROL = re.compile("[\x01-\x08\x0e-\x1f]")
 """Characters that numbers of 16 bits, such as pixels, give where they are read as UTF-16."""
@@ -49,9 +51,9 @@ class BadText(TermselError):
 def decode(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
     """Return the text of bytes, and its encoding: UTF-8, UTF-16, Windows-1252 or another one.
 
-    Other encodings are taken if their names of columns are in the text. If not `final`, `data` are
-    the first bytes of more, which may end within a character. Raises TermselError for bytes that
-    are no text, and `BadText`, with the line, for text of no such encoding.
+    Other encodings are taken if their names of columns are at its beginning. If not `final`, `data`
+    are the first bytes of more, which may end within a character. Raises TermselError for bytes
+    that are no text, and `BadText`, with the line, for text of no such encoding.
     """
     has_mark = data[:2] in _UTF16_MARKS
     first_error: UnicodeDecodeError | None = None
@@ -63,9 +65,7 @@ def decode(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
             continue
         if "\0" in text or (encoding.startswith("utf-16-") and _CONTROL.search(text)):
             break
-        names = _TOLD_BY_NAMES.get(encoding, ("",))
-        if any(name in text.casefold() for name in names):
-            return text, encoding
+        return text, encoding
     # A zero byte is in no text of these encodings but UTF-16.
     if first_error is None or (b"\0" in data and not has_mark):
         raise TermselError("this file is binary, expected text or a spreadsheet", file=path,
@@ -116,16 +116,25 @@ def head_in_utf8(head: bytes) -> bytes:
     return in_utf8.removeprefix(codecs.BOM_UTF8)
 
 
-def _possible_encodings(data: bytes) -> list[str]:
-    """Return the encodings that a text may have by its first bytes, in the order to try them."""
-    if data[:2] in _UTF16_MARKS:
-        return ["utf-16"]
+def _possible_encodings(data: bytes) -> Iterator[str]:
+    """Yield the encodings that a text may have by its first bytes, in the order to try them."""
     # In UTF-16 every other byte is mostly zero: the first of each pair, if the high byte comes
     # first. A fifth is enough, as letters of other scripts have no zero byte.
     head = data[:_LOOKED_AT]
     has_zeros = [head[start::2].count(0) * 5 > len(head) // 2 for start in (0, 1)]
-    if has_zeros == [True, False]:
-        return ["utf-16-be"]
-    if has_zeros == [False, True]:
-        return ["utf-16-le"]
-    return ["utf-8-sig", *_TOLD_BY_NAMES, "cp1252"]
+    if data[:2] in _UTF16_MARKS:
+        yield "utf-16"
+    elif has_zeros == [True, False]:
+        yield "utf-16-be"
+    elif has_zeros == [False, True]:
+        yield "utf-16-le"
+    else:
+        yield "utf-8-sig"
+        yield from (encoding for encoding in _TOLD_BY_NAMES if _names_columns(data, encoding))
+        yield "cp1252"
+
+
+def _names_columns(data: bytes, encoding: str) -> bool:
+    """Return whether the beginning of a text has names of columns that tell this encoding."""
+    beginning = data[:_NAMED_WITHIN].decode(encoding, "ignore").casefold()
+    return any(name in beginning for name in _TOLD_BY_NAMES[encoding])
