@@ -425,7 +425,7 @@ def test_list_of_opendronemap_names_the_package_that_reads_it(sign: str, tmp_pat
 
 
 @pytest.mark.parametrize(("columns", "remedy"), [
-    ("line=Zeile", "--columns line1=NAME"), ("z=Hoehe", "--columns z1=NAME")])
+    ("line=Zeile", "columns='line1=NAME'"), ("z=Hoehe", "columns='z1=NAME'")])
 def test_a_meaning_that_lines_do_not_have_is_refused(
         columns: str, remedy: str, tmp_path: Path) -> None:
     file = tmp_path / "lines.csv"
