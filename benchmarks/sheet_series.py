@@ -429,6 +429,8 @@ def single_row(name: str, cases: Sequence[dict[str, float]]) -> str:
 
 def projection_row(name: str, cases: Sequence[dict[str, float]]) -> str:
     """Return a row of the table of projections: medians, and mean ratios to hindsight."""
+    # A projective model of four points may show some place at infinity: such maps are left out.
+    cases = [case for case in cases if np.isfinite(case["plain"] + case["run"])]
     hindsight = np.array([case["hindsight"] for case in cases])
     cells = []
     for key in ("degrees", "plain", "least", "chosen"):
@@ -516,16 +518,16 @@ points of the map.
 
 ## The projection that points choose
 
-Maps of {sizes} degrees are drawn in one of the projections of the default list, about other
-meridians and parallels than those of their points, on stretched and sheared paper; points are
-measured to {map_noise:g} px, the first four near the corners, and the map is deformed locally by
-{map_local:g} px. Of the real maps some points are fitted and the first {candidates} of the list
-are tried; points left out count if they are no blunders by a run of all points of the map. Columns
-are medians of the RMSE [px] at points left out, with the geometric mean of the ratio to the best
-projection in hindsight: of fits in degrees, of a plain run without `--crs auto`, of the projection
-of the least error of held-out points, and of the one that `--crs auto` takes. Then how often points
-show which it is, how often the interval of 90 % of a run in it holds for points measured alike, and
-how often their RMSE is above it [%].
+Maps of {sizes} degrees are drawn in one of the
+projections of the default list, about other meridians and parallels than those of their points, on
+stretched and sheared paper; points are measured to {map_noise:g} px, the first four near the
+corners, and the map is deformed locally by {map_local:g} px. Of the real maps some points are
+fitted and the first {candidates} of the list are tried; points left out count if they are no
+blunders by a run of all points of the map. Columns are medians of the RMSE [px] at points left out,
+with the geometric mean of the ratio to the best projection in hindsight: of fits in degrees, of a
+plain run without `--crs auto`, of the projection of the least error of held-out points, and of the
+one that `--crs auto` takes. Then how often points show which it is, how often the interval of 90 %
+of a run in it holds for points measured alike, and how often their RMSE is above it [%].
 
 | maps | fits | degrees | plain | least error | `--crs auto` | hindsight | shown | holds | above |
 |---|---:|---:|---:|---:|---:|---:|---:|---:|---:|

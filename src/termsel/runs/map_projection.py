@@ -57,8 +57,8 @@ WIDE = np.radians(120.0)
 Mollweide's projection."""
 
 NEAR_GREENWICH = 30
-"""Longitude of the middle of control [deg] up to which a map of the world has the meridian of
-Greenwich in its middle: control is seldom at both edges."""
+"""Longitude of the middle of control [deg] up to which a map of the world is taken to have the
+meridian of Greenwich in its middle: control is seldom at both edges."""
 
 
 def with_map_projection(observations: Observations, auto: Auto) -> tuple[Observations, str]:
@@ -132,9 +132,15 @@ def _projections_of_the_world(crs: str, angles: FloatArray, lon: int) -> tuple[s
     mercator = mercator_crs(crs, lon)
     if np.ptp(angles[:, 0]) < WIDE:
         return (mercator,)
-    # x = longitude times a function of the latitude bends in a projection of another meridian.
-    meridian = 0 if abs(lon) <= NEAR_GREENWICH else lon
-    return (mercator, *crss_of_the_world(crs, meridian))
+    # x is the longitude times a function of the latitude, and bends about another meridian. That of
+    # Greenwich may be in the middle of 360 degrees that hold the control.
+    widest = (360.0 - np.degrees(np.ptp(angles[:, 0]))) / 2.0
+    meridians = [0] if abs(lon) <= max(widest, NEAR_GREENWICH) else []
+    if abs(lon) > NEAR_GREENWICH:
+        meridians.append(lon)
+    ovals = [crs_of_oval for meridian in meridians
+             for crs_of_oval in crss_of_the_world(crs, meridian)]
+    return (mercator, *ovals)
 
 
 def _note(observations: Observations, reason: str) -> str:
