@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from shlex import split
 
@@ -234,6 +235,16 @@ def test_another_image_is_refused(result: termsel.Result, tmp_path: Path) -> Non
     other = raster(tmp_path / "map.tif", exact(result), size=(410, 500))
     with pytest.raises(TermselError, match="410 lines and 500 samples, and the image of the"):
         compare_programs(other, result)
+
+
+def test_a_map_that_was_made_is_no_image_to_compare(result: termsel.Result,
+                                                    tmp_path: Path) -> None:
+    without_size = result.with_(features=replace(result.features, image_size=None))
+    image = raster(tmp_path / "image.tif")
+    termsel.rectify(without_size, image, tmp_path / "map.tif")
+    with pytest.raises(TermselError, match="a map that termsel made"):
+        compare_programs(tmp_path / "map.tif", without_size)
+    assert not compare_programs(image, without_size)[0][0].transformation.startswith("affine")
 
 
 def test_a_world_file_that_lacks_a_number_is_named(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from termsel.toolkit.coordinates import (
 from termsel_formats.check.base import NoAnswer, Taken
 from termsel_formats.check.gdal import border_places
 from termsel_formats.check.programs import Answers, taken_by_programs
-from termsel_formats.check.raster import size_of
+from termsel_formats.check.raster import is_map_of_termsel, size_of
 from termsel_formats.check.sidecars import raster_of
 
 # Positions along either side of the image at which programs are compared with the model.
@@ -121,6 +121,11 @@ def compare_programs(path: Path | str, result: Result | None = None, *, final: b
             return tuple(Deviation(answer.program, answer.transformation, answer.crs,
                                    answer.by_default) for answer in answers.taken), answers
         # A map of the image, whose pixels are others, would be off by its whole size.
+        if is_map_of_termsel(raster):
+            raise TermselError(
+                "this is a map that termsel made, and its pixels are not those of the image",
+                file=Path(path), hint="Give the image, or a file that was exported for it. How "
+                "accurate the map is stands in its tags, and in the summary of the result.")
         size = size_of(raster)
         size_of_result = result.features.image_size
         if size_of_result is not None and tuple(size_of_result) != size:

@@ -46,6 +46,13 @@ def size_of(path: Path) -> tuple[int, int]:
         return lines, samples
 
 
+def is_map_of_termsel(path: Path) -> bool:
+    """Return whether a raster is a map that termsel made of an image, by the tags of maps."""
+    with open_raster(path) as raster:
+        tags = raster.tags()
+    return "ACCURACY_DATE" in tags and tags.get("TIFFTAG_SOFTWARE", "").startswith("termsel")
+
+
 def _wkt_of_crs(crs: object) -> str:
     """Return the WKT of rasterio's CRS; "" without one."""
     return crs.to_wkt() if crs else ""  # type: ignore[attr-defined]
