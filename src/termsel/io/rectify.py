@@ -267,6 +267,9 @@ def _say_heights(result: Result, surface: Dem | float) -> HeightCaution | None:
 
     Returns the caution that has the larger effect; None if there is neither.
     """
+    if isinstance(surface, Dem) and not result.fit.model.uses_height:
+        log.info("Note: this model uses no heights, so the raster of heights (--dem) changes "
+                 "nothing of the map.")
     level = _say_level(result, surface)
     difference = say_difference(result.features, result.project, surface)
     cautions = [caution for caution in (level, difference) if caution is not None]

@@ -414,14 +414,15 @@ def _note_on_flat(control: FitData, points: Points) -> Iterator[str]:
     # How far an error of height moves the image, by the obliqueness of usual views.
     if does[0] > 0.0:
         low, high = (f"{round(float(height) * unit, 1) + 0.0:g}" for height in (z.min(), z.max()))
-        on_one_plane = "" if hidden or len(control) < FEWEST_FOR_HEIGHTS else " on one plane"
         if low == high:
-            covered = f"the height {low} m alone"
+            covered, beyond = f"the height {low} m alone", "above or below it"
+        elif hidden:
+            covered, beyond = f"heights from {low} to {high} m", "outside it"
         else:
-            covered = f"heights from {low} to {high} m{on_one_plane}"
+            covered, beyond = f"heights from {low} to {high} m on one plane", "off that plane"
         error = _rounded_text(HIGH / unit * does[0] / above[0])
         yield (f"The control covers {covered}. Expect about {error} px error per "
-               f"{HIGH:g} m outside it.")
+               f"{HIGH:g} m {beyond}.")
     if hidden:
         return
     # Other points off the plane of the control are seen elsewhere than a plane model says.
