@@ -317,6 +317,12 @@ and the report say so where fewer than 20 points leave it open; columns `sigma_l
 A fault, as between two sheets, a tear or swaths of a scan, has no trace in the points unless they
 lie close to it on both sides. Few points may all agree with a sheet that is whole: then errors next
 to the fault are many standard deviations, and nothing can show it.
+
+A scanner that shakes displaces whole lines by about as much as points are measured wrong, and
+twelve points lie on twelve lines. A lens that distorts by tens of pixels is taken up by a central
+projection of twelve points, but for what few residuals show: there, too, the stated deviations are
+too small. Where no model has the form of the image, as of a fisheye, a field of unknown smoothness
+stands in, and they are too large.
 """
 
 
