@@ -184,6 +184,6 @@ def test_what_cannot_be_rectified_is_refused(folder: Path, result: Path, tmp_pat
 
 def test_python_refuses_a_map_without_the_heights_it_depends_on_as_the_command_does(
         folder: Path, result: Path, tmp_path: Path) -> None:
-    with pytest.raises(termsel.TermselError, match=r"height of the ground\. .* dem=FILE or height=H"):
+    with pytest.raises(termsel.TermselError, match=r"the ground\. .* dem=FILE or height=H"):
         termsel.rectify(termsel.read_result(result), folder / "scene.tif", tmp_path / "map.tif")
     assert not (tmp_path / "map.tif").exists()
