@@ -183,7 +183,7 @@ def test_centroids_of_a_table(tmp_path: Path) -> None:
     (HEADER.replace("z", "z,role") + "a,1,0,0,5,44,1,\na,2,0,4,9,44,1,off\na,3,3,4,9,47,1,check\n",
      4, "role", "has the roles 'off' and 'check'"),
     (HEADER.replace("z", "z,role") + "a,1,0,0,5,44,1,check\na,2,0,4,9,44,1,\na,3,3,4,9,47,1,\n",
-     2, None, "areas_as=centroid"),
+     2, None, "areas_as='centroid'"),
     ("id,corner,line,sample,x,z\n", 1, "y", "there is no column for y"),
 ])
 def test_bad_tables(tmp_path: Path, text: str, line: int, column: str | None, words: str) -> None:

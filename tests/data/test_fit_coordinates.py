@@ -188,7 +188,7 @@ def test_auto_takes_the_best_by_leave_one_out(scene: FeatureSet) -> None:
 
 
 @pytest.mark.parametrize(("crs", "choice", "model", "words"), [
-    ("local", "geocentric", "poly3d", "--fit-crs geocentric: plane coordinates without a CRS"),
+    ("local", "geocentric", "poly3d", "fit_crs geocentric: plane coordinates without a CRS"),
     ("local", "auto", "poly3d", "State the CRS"),
     ("EPSG:32639", "geocentric", "poly2d", "model 'poly2d' has none"),
     ("EPSG:32639", "UTM", "poly3d", "option 'fit_crs' does not take 'UTM'"),

@@ -46,8 +46,8 @@ def test_lines_that_may_count_upwards_are_said(tmp_path: Path) -> None:
         termsel.read(tmp_path / "links.txt", crs="EPSG:32619")
     # Read so, they are no mirror image; but most programs write samples first.
     assert caught.value.guesses[0] == "line=1,sample=2,x=3,y=4"
-    assert "count upwards from the lower edge: --columns line=2,sample=1,x=3,y=4 --set " \
-        "image_origin=bottom-left" in str(caught.value)
+    assert ("count upwards from the lower edge: columns='line=2,sample=1,x=3,y=4' "
+            "image_origin='bottom-left") in str(caught.value)
 
 
 def test_a_column_of_zeros_is_no_flag_and_a_name_of_an_image_no_id(tmp_path: Path) -> None:
@@ -102,7 +102,7 @@ def test_primed_columns_of_the_image_are_offered(tmp_path: Path) -> None:
                     "2;498002.82;4002512.51;740.22;799.44;143.78\n")
     with pytest.raises(TermselError, match="x' and y' look like pixels") as caught:
         termsel.read(path, crs="EPSG:32631")
-    (columns,) = re.findall('--columns "(.*)"', str(caught.value))
+    (columns,) = re.findall('columns="(.*)"', str(caught.value))
     points = termsel.read(path, crs="EPSG:32631", columns=columns).points
     assert points.image.tolist() == [[1825.92, 142.70], [143.78, 799.44]]
     assert points.ground[0].tolist() == [497304.75, 3999053.32, 270.74]

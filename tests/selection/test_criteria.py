@@ -384,7 +384,7 @@ def test_lines_alone_need_no_check_points() -> None:
 
 def test_check_rmse_still_asks_for_check_points() -> None:
     assert CheckRmse.needs_check
-    with pytest.raises(termsel.TermselError, match="criterion check-rmse needs at least 2") as bad:
+    with pytest.raises(termsel.TermselError, match="check-rmse chooses by at least 2") as bad:
         termsel.run("rfm-terms", features=without_check(), strategy="as-asked")
     assert "press" in bad.value.hint
 

@@ -19,8 +19,8 @@ _NAMED = re.compile(r"--(?P<name>solver|method|model|criterion|strategy|resampli
 
 _OPTION = re.compile(
     r"--(?P<name>[a-z][a-z-]*)"
-    r"(?:[ =](?P<value>'[^']*'|[A-Z][A-Z0-9]*(?:[:=,][^\s.;)]+)?(?![a-z])|[a-z]\w*=[^\s.;)]+"
-    r"|[\w/~.+-]*[\d/](?:[\w/.,+:-]*\w)?|auto\b|local\b))?")
+    r"(?:[ =](?P<value>'[^']*'|\"[^\"]*\"|[A-Z][A-Z0-9]*(?:[:=,][^\s.;)]+)?(?![a-z])"
+    r"|[a-z_]\w*=[^\s.;)]+|[\w/~.+-]*[\d/](?:[\w/.,+:-]*\w)?|auto\b|local\b))?")
 """An option, with its value where one follows: in quotation marks, a placeholder, a name with a
 digit or of a file, or one of few words."""
 
@@ -74,7 +74,7 @@ def _set_in_words(pair: str | None) -> str:
 
 def _literal(value: str) -> str:
     """Return a value as Python writes it; a placeholder and a number stay as they are."""
-    bare = value.strip("'")
+    bare = value[1:-1] if value[0] in "'\"" else value
     if _PLACEHOLDER.fullmatch(bare) or re.fullmatch(r"-?\d+(\.\d+)?", bare):
         return bare
     return repr(bare)
