@@ -104,6 +104,17 @@ def test_what_cannot_be_read_is_named(command: str, name: str, folder: Path, cal
     assert not Path("new").exists()
 
 
+@pytest.mark.parametrize(("make", "noun"), [(os.mkdir, "a folder"),
+                                            (os.mkfifo, "a pipe or a device")])
+def test_what_stands_for_a_file_of_a_result_is_called_what_it_is(
+        make: Callable[[str], None], noun: str, folder: Path, call: Call) -> None:
+    Path("r/result.json").unlink()
+    make("r/result.json")
+    done = call("report", "r")
+    assert done.exit_code == 2
+    assert f"r/result.json: this is {noun}, expected a file. " in done.stderr
+
+
 WRITES = {
     "run": f"{RUN} --points p.csv --out NAME",
     "export": "export r --to points-csv -o NAME",

@@ -149,6 +149,13 @@ def test_layers(tmp_path: Path, name: str) -> None:
         np.testing.assert_array_equal(lines.ground[:, 0, 2], [12, 1, 3])
 
 
+def test_a_folder_next_to_a_shapefile_is_left_alone(tmp_path: Path) -> None:
+    """As of results, which people call by the file."""
+    path = layer(tmp_path / "roads.shp", geometry_type="MultiLineString Z")
+    (tmp_path / "roads.out").mkdir()
+    assert len(termsel.read(lines=path, join="nr").lines) == 3
+
+
 def test_layer_of_several(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = layer(tmp_path / "roads.gpkg", layer="streets")
     layer(path, layer="rivers", append=True)

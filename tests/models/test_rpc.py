@@ -193,6 +193,30 @@ def test_by_hand() -> None:
 def test_longitudes_of_either_side_of_the_date_line_are_one_place() -> None:
     rpc = _simple(ground_offset=(179.9, 20.0, 300.0))
     assert np.allclose(rpc.project([[-179.9, 20.0, 0.0]]), rpc.project([[180.1, 20.0, 0.0]]))
+    slope = (1.0, 0.5) + (0.0,) * 18
+    poles = replace(rpc, line_denominator=slope, sample_denominator=slope)
+    for longitude in (-179.9, 180.1):  # X = 0.2 / 0.5
+        below = poles.denominators(np.array([[longitude, 20.0, 0.0]]))
+        np.testing.assert_allclose(below, [[1.2, 1.2]], rtol=1e-9)
+
+
+@pytest.mark.parametrize(("values", "message"), [
+    ({"error_bias": np.inf}, "the RPC's error bias is not finite"),
+    ({"error_random": np.nan}, "the RPC's error random is not finite"),
+    ({"image_offset": (1.0, 2.0, 3.0)}, "the image offset of the RPC has 3 values, expected 2"),
+    ({"ground_scale": (1.0, 2.0)}, "the ground scale of the RPC has 2 values, expected 3")])
+def test_values_of_an_rpc_are_finite_and_as_many_as_stated(
+        values: dict[str, object], message: str) -> None:
+    with pytest.raises(TermselError, match=message):
+        _simple(**values)
+
+
+@pytest.mark.parametrize("error", ["nan", "-1"])
+def test_an_error_that_is_not_known_is_none(error: str, tmp_path: Path) -> None:
+    path = tmp_path / "a_RPC.TXT"
+    path.write_text(rpc_txt_text(_simple(error_bias=2.0)).replace("ERR_BIAS: 2.0",
+                                                                  f"ERR_BIAS: {error}"))
+    assert read_rpc(path).error_bias is None
 
 
 @given(st.floats(0.01, 0.2), st.integers(0, 10**6))

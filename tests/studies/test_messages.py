@@ -44,7 +44,17 @@ def test_that_tables_have_no_heights_is_said_once(
     with caplog.at_level("INFO", logger="termsel"):
         assert len(data_of(spec, tmp_path)) == 3
     assert "a.csv has no column for z, so its heights are unknown" in caplog.messages[0]
-    assert caplog.messages[1:] == ["Note: so it is in 2 further files."]
+    assert caplog.messages[1:] == ["Note: so it is in 2 further images."]
+
+
+def test_images_of_one_table_are_counted_as_images(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    rows = [f"{image}{n},{image},{n},{n % 2},{n},{n * n}" for image in "abc" for n in range(4)]
+    (tmp_path / "gcps.csv").write_text("\n".join(("id,image,line,sample,x,y", *rows)))
+    spec = spec_of({"data": [{"points": "gcps.csv", "crs": "local"}], "strategies": ["auto"]})
+    with caplog.at_level("INFO", logger="termsel"):
+        assert len(data_of(spec, tmp_path)) == 3
+    assert caplog.messages[1:] == ["Note: so it is in 2 further images."]
 
 
 def test_that_x_and_y_are_pixels_is_said_once(
@@ -55,7 +65,7 @@ def test_that_x_and_y_are_pixels_is_said_once(
     with caplog.at_level("INFO", logger="termsel"):
         assert len(data_of(spec, tmp_path)) == 3
     assert sum("are read as sample and line" in message for message in caplog.messages) == 1
-    assert caplog.messages[1:] == ["Note: so it is in 2 further files."]
+    assert caplog.messages[1:] == ["Note: so it is in 2 further images."]
 
 
 def test_messages_outside_a_study_stay_as_they_are(caplog: pytest.LogCaptureFixture) -> None:

@@ -40,6 +40,28 @@ def test_a_blunder_among_three_and_three_points_is_named(by: tuple[float, float]
         (name, "I1")]
 
 
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_block_is_adjusted_again_only_if_the_use_of_a_measurement_changed(
+        seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tie of which one image alone agrees is used in none, again and again."""
+    judge = adjustment._Run.judge_measurements
+    changes = []
+
+    def compare(run: adjustment._Run) -> bool:
+        before = [*run.state.in_use, *run.state.control_in_use]
+        told = judge(run)
+        after = [*run.state.in_use, *run.state.control_in_use]
+        assert told == any((old != new).any() for old, new in zip(before, after, strict=True))
+        changes.append(told)
+        return told
+
+    monkeypatch.setattr(adjustment._Run, "judge_measurements", compare)
+    adjust(simulate_block(3, n_ties=60, rpcs=True, control=(5, 4), wrong=0.1, seed=seed,
+                          independent=2).block)
+    assert changes[0]
+    assert not changes[-1]
+
+
 def solved_without(run: Steps, i: int, at: BoolArray) -> float:
     """Return the density of a feature by equations that it is not in."""
     used, known = run.state.control_in_use[i], run.control[i]

@@ -61,8 +61,8 @@ class Rpc(Explained):
     Raises
     ------
     TermselError
-        If there are not 20 coefficients, a value is not finite, a scale is 0, or all of a
-        denominator is 0.
+        If there are not so many values, one is not finite, a scale is 0, or all of a denominator
+        is 0.
 
     Notes
     -----
@@ -110,17 +110,18 @@ class Rpc(Explained):
         for name in ("line_numerator", "line_denominator", "sample_numerator",
                      "sample_denominator"):
             values = getattr(self, name)
-            if len(values) != N_COEFFICIENTS:
-                raise TermselError(f"the {name.replace('_', ' ')} of the RPC has {len(values)} "
-                                   f"coefficients, expected {N_COEFFICIENTS}")
-            _require_finite(values, name)
+            _require_values(values, N_COEFFICIENTS, name, "coefficients")
             if name.endswith("denominator") and not any(values):
                 raise TermselError(f"all coefficients of the RPC's {name.replace('_', ' ')} are 0",
                                    hint="A denominator usually begins with 1.")
-        for name in ("image_offset", "image_scale", "ground_offset", "ground_scale"):
-            _require_finite(getattr(self, name), name)
+        for name, count in (("image_offset", 2), ("image_scale", 2),
+                            ("ground_offset", 3), ("ground_scale", 3)):
+            _require_values(getattr(self, name), count, name, "values")
             if name.endswith("scale") and not all(getattr(self, name)):
                 raise TermselError(f"a scale of the RPC is 0: {getattr(self, name)}")
+        for name in ("error_bias", "error_random"):
+            if getattr(self, name) is not None:
+                _require_finite((getattr(self, name),), name)
 
     def as_delivered(self) -> Self:
         """Return the RPC without the record of its control, as if a vendor had delivered it."""
@@ -183,16 +184,9 @@ class Rpc(Explained):
         Returns
         -------
         ndarray, shape (n, 2)
-            Line and sample [px].
+            Line and sample [px]; infinite or NaN where a denominator is 0.
         """
-        from_offset = np.asarray(ground, dtype=np.float64) - self.ground_offset
-        # Longitudes on the other side of 180 degrees differ by about a turn; GDAL evaluates an RPC
-        # with the same limits.
-        is_turn_more = from_offset[:, 0] > 270
-        is_turn_less = from_offset[:, 0] < -270
-        from_offset[:, 0] -= 360.0 * (is_turn_more.astype(float) - is_turn_less)
-        columns = evaluate_monomials(from_offset / self.ground_scale, RPC00B)
-        # Scaled line and sample are quotients of cubic polynomials in scaled P, L, H.
+        columns = self._monomials(ground)
         line = (columns @ self.line_numerator) / (columns @ self.line_denominator)
         sample = (columns @ self.sample_numerator) / (columns @ self.sample_denominator)
         image = np.stack([line, sample], axis=1)
@@ -201,9 +195,18 @@ class Rpc(Explained):
     @explains_arguments()
     def denominators(self, ground: FloatArray) -> FloatArray:
         """Return the denominators of line and sample at ground points, (n, 2)."""
-        away = (ground - self.ground_offset) / self.ground_scale
         below = np.array([self.line_denominator, self.sample_denominator])
-        return np.asarray(evaluate_monomials(away, RPC00B) @ below.T)
+        return np.asarray(self._monomials(ground) @ below.T)
+
+    def _monomials(self, ground: ArrayLike) -> FloatArray:
+        """Return the monomials (n, 20) of X, Y, Z at ground points (n, 3)."""
+        from_offset = np.asarray(ground, dtype=np.float64) - self.ground_offset
+        # Longitudes on the other side of 180 degrees differ by about a turn; GDAL evaluates an RPC
+        # with the same limits.
+        is_turn_more = from_offset[:, 0] > 270
+        is_turn_less = from_offset[:, 0] < -270
+        from_offset[:, 0] -= 360.0 * (is_turn_more.astype(float) - is_turn_less)
+        return evaluate_monomials(from_offset / self.ground_scale, RPC00B)
 
     @explains_arguments()
     def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
@@ -224,6 +227,14 @@ class Rpc(Explained):
         """
         return locate(self.project, image, height, centre=self.ground_offset,
                       scale=np.abs(self.ground_scale))
+
+
+def _require_values(values: tuple[float, ...], count: int, name: str, noun: str) -> None:
+    """Raise TermselError unless an RPC has `count` finite values of some name, called `noun`."""
+    if len(values) != count:
+        raise TermselError(f"the {name.replace('_', ' ')} of the RPC has {len(values)} {noun}, "
+                           f"expected {count}")
+    _require_finite(values, name)
 
 
 def _require_finite(values: tuple[float, ...], name: str) -> None:

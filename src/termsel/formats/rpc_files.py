@@ -425,8 +425,8 @@ def from_items(items: Mapping[str, str]) -> Rpc:
 
 
 def _error_or_none(error: float | None) -> float | None:
-    """Return a stated error; None for a negative one, which stands for one that is not known."""
-    return None if error is None or error < 0.0 else error
+    """Return a stated error; None for NaN or a negative one, which stand for an unknown one."""
+    return error if error is not None and error >= 0.0 else None
 
 
 def _number_of_item(text: str, name: str, line: int | None = None) -> float:

@@ -76,12 +76,19 @@ def refuse_pipe(path: Path) -> None:
 
 
 def require_regular(path: Path, named_by: object = None) -> None:
-    """Raise TermselError for a pipe or device, which a file may name or be next to."""
-    if _file_type(path) not in (None, stat.S_IFREG):
-        prefix = "" if named_by is None or str(named_by) == str(path) else f"{path.name!r}: "
-        raise TermselError(f"{prefix}this is a pipe or a device, expected a file",
-                           file=path if named_by is None else named_by,
-                           hint="Save its content to a file, and give that file.")
+    """Raise TermselError for a folder, pipe or device, which a file may name or be next to.
+
+    `named_by` is that file, which the message then names.
+    """
+    file_type = _file_type(path)
+    if file_type in (None, stat.S_IFREG):
+        return
+    noun, hint = "a pipe or a device", "Save its content to a file, and give that file."
+    if file_type == stat.S_IFDIR:
+        noun, hint = "a folder", "Give a file in its place, or move the folder away."
+    prefix = "" if named_by is None or str(named_by) == str(path) else f"{path.name!r}: "
+    raise TermselError(f"{prefix}this is {noun}, expected a file",
+                       file=path if named_by is None else named_by, hint=hint)
 
 
 def _file_type(path: Path) -> int | None:

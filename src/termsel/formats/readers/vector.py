@@ -176,14 +176,16 @@ def _turn_off_drivers() -> None:
 def _link_into_folder(path: Path, folder: Path) -> Path:
     """Link a file into a folder, where GDAL may write files next to it; return the link.
 
-    The further files of a Shapefile, of the same stem, are linked as well; no others are there for
-    GDAL to read. Files are copied where links are not possible or not enough.
+    The further files of a Shapefile, of the same stem, are linked as well; no others, and no
+    folders, are there for GDAL to read. Files are copied where links are not possible or not
+    enough.
     """
     # pyogrio cannot pass on names that are no UTF-8.
     name = folder / path.name.encode(errors="replace").decode()
     files = [path]
     if path.suffix.lower() not in SINGLE_VECTORS:
-        files += [file for file in path.parent.glob(f"{glob.escape(path.stem)}.*") if file != path]
+        files += [file for file in path.parent.glob(f"{glob.escape(path.stem)}.*")
+                  if file != path and not file.is_dir()]
     for file in files:
         link = name if file == path else name.with_suffix(file.suffix)
         if not file.is_file():

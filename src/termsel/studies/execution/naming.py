@@ -34,6 +34,11 @@ def name_image_in_log(image: str) -> Iterator[list[str]]:
         _image.reset(before)
 
 
+def image_at_work() -> str:
+    """Return the name that `name_image_in_log` puts into messages now; "" for none."""
+    return _image.get()
+
+
 class _Keeper(logging.Handler):
     """Keeps the warnings about one image."""
 

@@ -22,7 +22,7 @@ from termsel.formats.readers.tables import NO_HEIGHTS
 from termsel.io.read import parts_of, read
 from termsel.plugins.registry import registry
 from termsel.results.result import checksum_of_attributes, checksum_of_features
-from termsel.studies.execution.naming import name_image_in_log
+from termsel.studies.execution.naming import image_at_work, name_image_in_log
 from termsel.studies.plan.places import Path as Keys
 from termsel.studies.plan.spec import Source, Spec
 
@@ -77,18 +77,18 @@ def data_of(spec: Spec, folder: Path, tables: frozenset[Path] = frozenset()) -> 
 
 @contextmanager
 def _said_once(words: str, by: str) -> Iterator[None]:
-    """Let the logger `by` log a note with these words for the first file only.
+    """Let the logger `by` log a note with these words for the first image only.
 
-    On leaving, a note tells how many further files it would have been logged for.
+    After a block that raises nothing, a note tells of how many further images it is true.
     """
-    records = []
+    images: set[str] = set()
 
     def is_first(record: logging.LogRecord) -> bool:
         """Return whether a record is logged: the first with these words, or one without them."""
         if words not in record.getMessage():
             return True
-        records.append(record)
-        return len(records) == 1
+        images.add(image_at_work())
+        return len(images) == 1
 
     logger = logging.getLogger(by)
     logger.addFilter(is_first)
@@ -96,8 +96,8 @@ def _said_once(words: str, by: str) -> Iterator[None]:
         yield
     finally:
         logger.removeFilter(is_first)
-    if len(records) > 1:
-        log.info("Note: so it is in %s.", count_in_words(len(records) - 1, "further file"))
+    if len(images) > 1:
+        log.info("Note: so it is in %s.", count_in_words(len(images) - 1, "further image"))
 
 
 def _say_heights(data_sets: Sequence[Data]) -> None:

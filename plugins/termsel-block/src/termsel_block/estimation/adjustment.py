@@ -16,7 +16,7 @@ from termsel_block.evidence.growing import MAX_P_VALUE, p_value_of_columns
 from termsel_block.evidence.integrating import MAX_INTEGRATED, count_unknown_variances, integrate
 from termsel_block.evidence.variances import estimate_variances, loosening_factors
 from termsel_block.geometry.control import OwnControl
-from termsel_block.geometry.frame import FloatArray
+from termsel_block.geometry.frame import BoolArray, FloatArray
 from termsel_block.geometry.heights import Heights
 
 BLUNDER_SIGMAS = 4.0
@@ -104,7 +104,7 @@ def adjust_block(state: BlockUnknowns, measured: Sequence[Measured], control: Se
                              report=lambda s: report(0.4 + 0.2 * s))
     # Then blunders are left out; each time measurements that agree again are taken back.
     for _ in range(3):
-        if not run.leave_out():
+        if not run.judge_measurements():
             break
         steps += run.iterate(robust=False, limit=_STAGE_STEPS,
                              report=lambda s: report(0.6 + 0.4 * s))
@@ -371,16 +371,32 @@ class _Run(Steps):
         if len(unused):
             state.ties[unused] = intersect(state.ties[unused], rays)
 
-    def leave_out(self) -> bool:
-        """Mark which measurements are used and which are blunders; return whether any changed.
+    def judge_measurements(self) -> bool:
+        """Judge by its residual whether each measurement is used; return whether any changed.
 
-        A tie that fewer than two images use is used in none; both rows of a point or line of
-        control are used, or neither.
+        One that was left out may come back. Of a tie at least two images are used, or none; of a
+        point or line of control both rows, or neither. Before, ties that no image uses are placed
+        where their rays meet. At last, the heights are told which control is left.
         """
-        state = self.state
         self.place_unused_ties()
         of_ties, of_control = self.residuals()
-        changed = False
+        in_use = self._ties_that_agree(of_ties)
+        control_in_use = self._control_that_agrees(of_control)
+        state = self.state
+        changed = any(not np.array_equal(new, old) for new, old in zip(
+            [*in_use, *control_in_use], [*state.in_use, *state.control_in_use], strict=True))
+        state.in_use = in_use
+        state.control_in_use = control_in_use
+        # Control that is left out does not show the offset of heights, either.
+        self.heights.keep(control_in_use)
+        return changed
+
+    def _ties_that_agree(self, of_ties: Sequence[FloatArray]) -> list[BoolArray]:
+        """Return by image which measurements of ties agree, (m,), at least two of a tie.
+
+        `of_ties` has the residuals (m, 2) of each image.
+        """
+        state = self.state
         # Of each tie over all images: the sum of the larger residuals of line and sample, and the
         # number of its rays.
         residual_sum = np.zeros(len(state.ties))
@@ -388,34 +404,36 @@ class _Run(Steps):
         for measured, residual in zip(self.measured, of_ties, strict=True):
             np.add.at(residual_sum, measured.tie, np.abs(residual).max(axis=1, initial=0.0))
             np.add.at(rays, measured.tie, 1)
-        for i, (measured, residual) in enumerate(zip(self.measured, of_ties, strict=True)):
+        agreeing: list[BoolArray] = []
+        count = np.zeros(len(state.ties))
+        for measured, residual in zip(self.measured, of_ties, strict=True):
             agrees = np.abs(residual).max(axis=1, initial=0.0) <= BLUNDER_SIGMAS * state.sigma_ties
             # Robust weights give the whole difference of two rays to either of them, so that the
             # sum is judged, which has the standard deviation of a difference.
             agrees |= (rays[measured.tie] == 2) & (
                 residual_sum[measured.tie] <= BLUNDER_SIGMAS * np.sqrt(2) * state.sigma_ties)
-            changed |= bool((agrees != state.in_use[i]).any())
-            state.in_use[i] = agrees
-        count = np.zeros(len(state.ties))
-        for measured, used in zip(self.measured, state.in_use, strict=True):
-            np.add.at(count, measured.tie, used)
-        for i, measured in enumerate(self.measured):
-            state.in_use[i] = state.in_use[i] & (count[measured.tie] > 1)
-        # If few measurements show the standard deviation of control, four of them are no rare
-        # distance: Student's quantile for as many rows counts.
+            agreeing.append(agrees)
+            np.add.at(count, measured.tie, agrees)
+        return [agrees & (count[measured.tie] > 1)
+                for agrees, measured in zip(agreeing, self.measured, strict=True)]
+
+    def _control_that_agrees(self, of_control: Sequence[FloatArray]) -> list[BoolArray]:
+        """Return by image which rows of control agree, (r,): of a feature both or neither.
+
+        `of_control` has the residuals (r,) of each image.
+        """
+        # If few measurements show the standard deviation of control, BLUNDER_SIGMAS of them are no
+        # rare distance: Student's quantile for as many rows counts.
         rows = sum(map(len, of_control))
         chance = _BLUNDER_CHANCE / (2 * max(rows, 1))
-        limit = max(BLUNDER_SIGMAS, -float(stdtrit(state.freedom_control, chance)))
+        limit = max(BLUNDER_SIGMAS, -float(stdtrit(self.state.freedom_control, chance)))
+        agreeing: list[BoolArray] = []
         for i, (residual, control) in enumerate(zip(of_control, self.control, strict=True)):
             is_blunder = np.abs(residual) > limit * self.residual_deviations(i)
             names = {name for name, is_wrong in zip(control.feature, is_blunder, strict=True)
                      if is_wrong}
-            agrees = np.array([name not in names for name in control.feature], bool)
-            changed |= bool((agrees != state.control_in_use[i]).any())
-            state.control_in_use[i] = agrees
-        # Control that is left out does not show the offset of heights, either.
-        self.heights.keep(state.control_in_use)
-        return changed
+            agreeing.append(np.array([name not in names for name in control.feature], bool))
+        return agreeing
 
 
 def _show_nothing(share: float) -> None:
