@@ -88,6 +88,11 @@ def test_an_option_that_cannot_be_read_is_named_with_a_remedy(words: list[str],
     assert refused("run", *words) == f"Error: {message}\nAll options: termsel run --help-all\n"
 
 
+def test_letters_that_were_exchanged_are_asked_for() -> None:
+    assert "Did you mean 'dlt2d' or 'dlt3d'?" in refused("run", "--dataset", "ikonos-hamedan",
+                                                         "--model", "dtl")
+
+
 def test_words_beyond_those_of_a_command_are_shown_with_what_it_takes() -> None:
     assert "'b' is more than this command takes: termsel report [OPTIONS] DIR." \
         in refused("report", "a", "b")

@@ -172,7 +172,9 @@ RESULT = termsel.run("poly-terms", generations=1)
     (lambda: termsel.rpc_of(5), "fitted is 5, expected a termsel.Fit"),
     (lambda: RESULT.project("here"), "ground is 'here', expected an array of numbers"),
     (lambda: RESULT.locate([[1.0, 2.0]], "high"), "height is 'high', expected an array of numbers"),
-    (lambda: RESULT.fit.rmse([1.0]), "points is of the type list, expected a termsel.Points")])
+    (lambda: RESULT.fit.rmse([1.0]), "points is of the type list, expected a termsel.Points. "
+                                     "termsel.read(FILE).points makes one"),
+    (lambda: termsel.to_pymoo("poly-terms"), "expected a termsel.Problem. termsel.prepare(")])
 def test_an_argument_of_the_wrong_kind_is_named(call: Callable[[], object], words: str) -> None:
     with pytest.raises(termsel.TermselError, match=re.escape(words)):
         call()

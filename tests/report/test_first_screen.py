@@ -176,7 +176,7 @@ def test_where_nothing_fits_no_check_point_is_blamed() -> None:
     lines = first_screen(**scattered)
     assert "not detectable: no model fits these points; check the columns" in " ".join(lines)
     assert "C96" not in " ".join(lines)
-    assert next_step("r", **scattered) == "Next: termsel report r"
+    assert next_step("r", **scattered).startswith("Next: correct the columns, the units or the CRS")
 
 
 def test_notes_that_do_not_fit_are_counted() -> None:

@@ -144,6 +144,13 @@ def test_a_copy_of_an_image_is_refused(folder: Path, place: str, message: str) -
         read_block(folder / "copy.toml")
 
 
+def test_a_folder_leads_to_the_file_of_its_block(tmp_path: Path) -> None:
+    invoke("block-example", tmp_path / "scene")
+    assert "Give " + str(tmp_path / "scene" / "block.toml") in invoke(
+        "block", tmp_path / "scene").output
+    assert "termsel block-example DIR writes" in invoke("block", tmp_path).output
+
+
 def test_an_image_with_the_name_of_a_file_of_the_block_is_refused(tmp_path: Path) -> None:
     with pytest.raises(TermselError, match=r"'Block\.json' cannot be the name of an image"):
         require_free_folder(tmp_path / "new", ["A", "Block.json"], overwrite=False)

@@ -12,7 +12,7 @@ from inspect import Parameter, signature
 from typing import TYPE_CHECKING, ClassVar, ParamSpec, TypeVar
 
 from termsel.core.errors import TermselError, count_in_words, likely_names
-from termsel.core.kinds import Kind, kinds_of, wrong_kind_message
+from termsel.core.kinds import MADE_BY, Kind, kinds_of, wrong_kind_message
 from termsel.core.python_words import in_python
 
 P = ParamSpec("P")
@@ -101,7 +101,8 @@ def _refuse_wrong_kinds(given: Mapping[str, object], kinds: Mapping[str, Kind],
     """Raise TermselError for the first argument that is not of its kind."""
     for name, value in given.items():
         if name in kinds and not kinds[name].holds(value):
-            remedy = None if name in required else "Correct it, or leave it out."
+            remedy = MADE_BY.get(kinds[name].words) or (
+                None if name in required else "Correct it, or leave it out.")
             raise TermselError(wrong_kind_message(name, value, kinds[name]), hint=remedy, name=name)
 
 

@@ -210,6 +210,10 @@ def likely_names(name: str, names: Sequence[str]) -> list[str]:
     near += [known for known in by_small_letters if known not in near
              and (known.startswith(f"{small}-") or small.startswith(f"{known}-")
                   or known.endswith(f"-{small}"))]
+    if not near:
+        # Letters that were exchanged: dtl for dlt2d.
+        near = [known for known in by_small_letters if known[:1] == small[:1]
+                and sorted(known[:len(small)]) == sorted(small) and len(small) >= _ALIKE]
     alike = [known for known in by_small_letters if known[:_ALIKE] == small[:_ALIKE]
              and "-" not in known]
     if not near and len(alike) == 1 and len(small) > _ALIKE:

@@ -162,6 +162,15 @@ _SIMPLE: Mapping[Any, Kind] = {
     float: Kind("a number", _is_number)}
 
 
+MADE_BY = {
+    "a termsel.Points": "termsel.read(FILE).points makes one, of a table as well as of a file.",
+    "a termsel.FeatureSet": "termsel.read(FILE) makes one, of a table as well as of a file.",
+    "a termsel.Problem": "termsel.prepare('poly-terms', features=FEATURES).problem is one.",
+    "a termsel.Result": "termsel.run(features=FEATURES) or termsel.read_result(DIR) makes one.",
+    "a termsel.Fit": "termsel.fit(FEATURES) makes one, and the fit of a result is one."}
+"""Where a value of a kind comes from, by the words of the kind."""
+
+
 def wrong_kind_message(name: str, value: object, kind: Kind) -> str:
     """Return what is wrong with an argument that is not of its kind."""
     shown = "None" if value is None else shown_value(value)

@@ -833,6 +833,8 @@ def next_step_for_user(record: Record, folder: str = "", command: str = "") -> s
         return f"Next: {command or f'run again with {pairs}'}{purpose}"
     if may_be_shifted(record):
         return "Next: compare some of these points with the map before leaving any out"
+    if does_nothing_fit(record):
+        return "Next: correct the columns, the units or the CRS, then run again"
     if not folder:
         return "Not saved: add --out DIR, then termsel report DIR"
     if (not record.data.counts.independent and record.data.counts.word == "points"

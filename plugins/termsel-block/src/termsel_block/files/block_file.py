@@ -46,6 +46,9 @@ COLUMNS = {"id": ("id", "tie", "name", "point"), "image": ("image", "img", "scen
            "line": ("line", "row", "y_pix"), "sample": ("sample", "col", "column", "x_pix")}
 """Known names of the columns of a table of ties."""
 
+_NAME = "block.toml"
+"""What examples call the file of a block."""
+
 _EXAMPLE = "termsel block-example DIR writes a block to begin with."
 # TOML has no null.
 _KINDS = {kind: words for kind, words in KINDS_OF_JSON.items() if kind != "null"} | {
@@ -134,6 +137,11 @@ def read_block(path: Path | str) -> Block:
     ['A', 'B', 'C']
     """
     path = Path(path)
+    if path.is_dir() and (path / _NAME).is_file():
+        raise TermselError("this is a folder, expected the file of a block", file=path,
+                           hint=f"Give {path / _NAME}.")
+    if path.is_dir():
+        raise TermselError("this folder has no file of a block", file=path, hint=_EXAMPLE)
     table, text = read_toml(path, "the file of a block", _EXAMPLE)
     try:
         stated = msgspec.convert(table, type=_File)
