@@ -157,6 +157,14 @@ def test_who_enables_a_renderer_of_altair_gets_it(chosen: termsel.Result) -> Non
                for kind in part)
 
 
+def test_a_page_that_was_written_is_to_be_opened(tmp_path: Path) -> None:
+    folder = tmp_path / "result"
+    done = CliRunner().invoke(cli, [
+        "run", "--dataset", "ikonos-hamedan", "--method", "affine", "--report", "--out",
+        str(folder)])
+    assert f"Next: open {folder / 'report.html'}" in done.output
+
+
 def test_frequencies_are_those_of_the_selections(searched: Path, repeated: Path) -> None:
     front = termsel.read_result(searched)
     shown = {row["term"]: row["share"]

@@ -200,7 +200,7 @@ def test_cells_of_an_earlier_form_are_kept_aside(study: Path, call: Call, tmp_pa
     table = table_of(out)
     study.write_text(STUDY.replace("300", "200").replace("seeds = 8", "seeds = 2"))
     done = call("compare", study, "--out", out)
-    assert "keeps 6 finished runs of an earlier form of the study" in done.stderr
+    assert "keeps 6 finished runs of other data, options or code" in done.stderr
     assert len(termsel.read_study(out).records) == 4
     assert len(table_of(out)) == 4
     study.write_text(SHORT)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from termsel.cli.bars import share_bar
 from termsel.cli.messages import echo, say_once, say_written
 from termsel.cli.tables import print_table
+from termsel.cli.usage import without_set
 from termsel.core.errors import TermselError, unknown_name_error
 from termsel.core.files.atomic import make_folder, write_text
 from termsel.core.files.names import is_there, no_such_file_error
@@ -127,7 +128,7 @@ def _print_maps(maps: list[ImageMap]) -> None:
     reasons = [item.why if item.why.startswith(item.image) else f"{item.image}: {item.why}"
                for item in maps if item.state in (OUTDATED, LEFT_OUT, FAILED)]
     for reason in reasons[:_MOST_REASONS]:
-        echo(reason)
+        echo(without_set(reason))
     if len(reasons) > _MOST_REASONS:
         echo(f"{len(reasons) - _MOST_REASONS} more: the table in the folder of the maps has all "
              "reasons")

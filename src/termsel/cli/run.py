@@ -77,7 +77,7 @@ def run(verbose: bool, checkpoint: Path | None, files: tuple[Path, ...], **argum
         saved = f"Saved     {folder}{os.sep}    " if folder is not None else ""
         options = options_of_next_run(result)
         again = command_with(options, ["--overwrite"] if folder else []) if options else ""
-        echo(f"{saved}{next_step_for_user(result, str(folder or ''), again)}")
+        echo(f"{saved}{next_step_for_user(result, str(folder or ''), again, str(page or ''))}")
     elif folder is not None:
         say_written([f"{folder}/{RECORD}", *names_of(result.features)[1:]])
     if result.interrupted:

@@ -100,7 +100,12 @@ def hint_for(ctx: click.Context, hint: str | None) -> str | None:
         hint = _OF_MANY.sub(rf"Give its files: {ctx.command_path} \1.", hint)
     if hint is None or any("--set" in param.opts for param in ctx.command.params):
         return hint
-    return _EXCHANGES.sub("exchange the names of the two columns in the header of the file", hint)
+    return without_set(hint)
+
+
+def without_set(text: str) -> str:
+    """Return a text with what to do in the file in place of `--set swapped`, for other commands."""
+    return _EXCHANGES.sub("exchange the names of the two columns in the header of the file", text)
 
 
 def _unknown_option_message(error: click.NoSuchOption) -> str:

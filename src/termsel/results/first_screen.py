@@ -818,11 +818,13 @@ def options_of_next_run(record: Record) -> dict[str, str]:
     return {}
 
 
-def next_step_for_user(record: Record, folder: str = "", command: str = "") -> str:
+def next_step_for_user(record: Record, folder: str = "", command: str = "",
+                       page: str = "") -> str:
     """Return the next step for the user, as a command if one can be typed.
 
     `folder` is where the result was written, "" if it was not. `command` is the command of this run
-    with `options_of_next_run`; without it the step names the options.
+    with `options_of_next_run`; without it the step names the options. `page` is the report of this
+    run, "" if there is none.
     """
     read = record.data.read
     if read and read.mixed:
@@ -843,4 +845,4 @@ def next_step_for_user(record: Record, folder: str = "", command: str = "") -> s
         if record.adjustment.redundancy == 0:
             return "Next: measure at least one more point, then run again with it"
         return f"Next: termsel plan {quote(folder)}   (best positions for further points)"
-    return f"Next: termsel report {quote(folder)}"
+    return f"Next: open {page}" if page else f"Next: termsel report {quote(folder)}"

@@ -127,7 +127,7 @@ def compare(
             log.warning("%s repeated, as data, options, budget or code changed since.",
                         count_in_words(len(changed), "finished run"))
         if foreign := len(journal.records) - len(finished):
-            log.warning("The journal keeps %s of an earlier form of the study without using %s.",
+            log.warning("The journal keeps %s of other data, options or code, and does not use %s.",
                         count_in_words(foreign, "finished run"), "it" if foreign == 1 else "them")
         for observe in observers:
             observe(tally.progress())

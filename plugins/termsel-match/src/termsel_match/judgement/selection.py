@@ -250,8 +250,8 @@ def _require_enough(agrees: Mask, roles: Any, n_terms: int) -> None:
         raise TermselError(f"not enough candidates agree: {control + check} of "
                            f"{int((roles != 'independent').sum())}",
                            hint="Most matches are wrong. Give a start that is nearer, a larger "
-                                "--search, or a better reference: one that repeats itself, as "
-                                "fields and roofs do, has many matches for each place.")
+                                "--search, or another reference: where fields or roofs are alike, "
+                                "each place has many matches. Or measure points by hand.")
 
 
 def with_lines(selected: SelectedCandidates, lines: FeatureSet, *, seed: int = 1,
