@@ -73,7 +73,7 @@ def test_a_degree_that_was_given_is_not_lowered() -> None:
     with pytest.raises(termsel.TermselError,
                        match="8 control features give 16 equations for the 40 terms") as caught:
         termsel.run(features=satellite(8), model="poly3d", options={"degree": 3})
-    assert "leave method out" in str(caught.value.hint)
+    assert "leave model out" in str(caught.value.hint)
 
 
 @pytest.mark.parametrize("seed", range(4))

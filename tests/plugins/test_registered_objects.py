@@ -175,10 +175,10 @@ def test_fit_takes_what_run_takes() -> None:
 @pytest.mark.parametrize(("given", "said"), [
     ({"model": Hundred}, "is no model: the class Hundred, not a subclass of SensorModel"),
     ({"model": termsel.SensorModel}, "is no model: the class SensorModel, which lacks"),
-    ({"solver": 3}, "3 is no solver: an object of type int, not a subclass of Solver"),
+    ({"solver": 3}, "solver is 3, expected a name, a class or a termsel.Solver"),
     ({"criterion": Crossed}, "is no criterion"),
-    ({"dataset": Path()}, "is no data set"),
-    ({"problem": Crossed}, "is no problem"),
+    ({"dataset": Path()}, "expected a name or a termsel.DatasetSpec"),
+    ({"problem": Crossed}, "expected a name or a termsel.Recipe"),
     ({"model": Crossed(), "options": {"degree": 3}},
      "option 'degree' is for the model 'crossed', which has its options already"),
 ])
