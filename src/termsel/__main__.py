@@ -129,12 +129,11 @@ def silence_warnings() -> None:
 
 def end_if_interrupted(code: object) -> None:
     """End the program after a command that failed because of Ctrl-C; `code` is its exit code."""
-    # answered() is True if Ctrl-C came and nothing has handled it yet; asking handles it. A library
-    # may have made another error of the interrupt, such as "cannot be imported": then nobody has
-    # been told, and leave() prints "Interrupted." before it ends the program.
+    # A library may have made another error of the interrupt, such as "cannot be imported": then
+    # nobody has been told, and leave() prints "Interrupted." before it ends the program.
     if take_pending_interrupt() and code not in (0, INTERRUPTED):
         leave()
-    # The command has said what it kept, and how to go on: end() prints nothing more.
+    # The command has said what it kept, and how to go on: end_program() prints nothing more.
     if code == INTERRUPTED:
         end_program()
 

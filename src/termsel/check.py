@@ -129,7 +129,7 @@ def _proven_lines(content: Any) -> tuple[list[str], int]:
         # The score is rounded down, by less than a unit at each check point.
         if value + Fraction(axis.checks, _ONE) > axis.limit * (1 + Fraction(1, 10**8)):
             raise Refused(f"axis {axis.name}: the limit is too far below the selection's score")
-        decided, undecided, steps = axis.proven()
+        decided, undecided, steps = axis.verify()
         total = total + value
         open_ = open_ + undecided
         lines.append(f"axis {axis.name}: {decided:,} selections of up to {axis.room} of "
@@ -273,11 +273,12 @@ class Axis:
             raise ValueError("a row has not one value for each term and the target")
         return rows
 
-    def proven(self) -> tuple[int, int, int]:
-        """Walk the tree; return the selections decided and left open, and the number of steps.
+    def verify(self) -> tuple[int, int, int]:
+        """Check every step; return the selections decided and left open, and the number of steps.
 
-        Raises Refused, with axis and step, for a step that does not hold, and for a tree that ends
-        too early or goes on after all is decided.
+        For one call only, as the steps are used up. Raises Refused, with the axis, for a step that
+        does not hold (with its number), and for a tree that ends too early or goes on after all is
+        decided or left open.
         """
         counts = [0, 0, 0]
         # A stack instead of recursion; the first child is on top, as in the order of the steps.

@@ -543,9 +543,10 @@ def _agreeing_core(control: FitData, test_of_all: TestOfAll,
 
 
 def _features_with_weight(control: FitData, test_of_all: TestOfAll) -> BoolArray:
-    """Return the features that have weight under a robust quadratic polynomial, (n,).
+    """Return which features, a mask (n,), have weight under a robust quadratic polynomial.
 
-    If those without weight exceed MAX_BLUNDER_SHARE, that share with the largest strain has none.
+    If it cannot be fitted, or more than MAX_BLUNDER_SHARE have no weight, that share with the
+    largest strain in the test of all is left out instead; none is if there is no such test either.
     """
     # A robust fit fails if it finds more blunders than there may be: then the worst are taken.
     weightless = _weightless(control)

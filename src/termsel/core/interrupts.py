@@ -56,11 +56,13 @@ def end_program() -> NoReturn:
 
 
 def watch() -> None:
-    """Raise KeyboardInterrupt at Ctrl-C, and again until it is taken (`take_pending_interrupt`).
+    """From now on raise KeyboardInterrupt at Ctrl-C and, but for Windows, again until it is taken.
 
-    For programs, not for libraries: it takes the signals SIGINT and, where there is one, SIGALRM.
-    Nothing is changed where Ctrl-C is ignored, as by nohup.
+    `take_pending_interrupt` takes it. For programs, not for libraries: it sets the handlers of
+    SIGINT and SIGALRM, and `sys.unraisablehook`, which no longer prints interrupts. Nothing is
+    changed where Ctrl-C is ignored, as by nohup, or has a handler of somebody else.
     """
+    # Only Python's own handler and the one of `end_at_once` are replaced.
     if signal.getsignal(signal.SIGINT) not in (signal.default_int_handler, leave):
         return
     signal.signal(signal.SIGINT, _note_interrupt)
@@ -70,7 +72,7 @@ def watch() -> None:
 
 
 def _note_interrupt(_number: int, _frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt on Ctrl-C, and once more if the program has not ended soon."""
+    """Raise KeyboardInterrupt on Ctrl-C and, but for Windows, again and again until it is taken."""
     if sys.platform != "win32":
         signal.setitimer(signal.ITIMER_REAL, _AGAIN)
     raise KeyboardInterrupt

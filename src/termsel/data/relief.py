@@ -49,7 +49,7 @@ class _Sampled:
         return (np.linspace(low[0], high[0], _SAMPLED), np.linspace(low[1], high[1], _SAMPLED))
 
     def highest(self) -> float:
-        """Return the greatest height that is found; NaN where there is none."""
+        """Return the greatest height that is found; minus infinity where there is none."""
         grid = np.stack(np.meshgrid(*self._sides), axis=-1).reshape(-1, 2)
         heights = self.surface(grid)
         return float(np.max(heights, initial=-np.inf, where=np.isfinite(heights)))
@@ -69,7 +69,10 @@ def unmasked(surface: Surface) -> Surface:
 def visible_ground(project: Projection, holds: Callable[[FloatArray], BoolArray],
                    image: FloatArray, ground: FloatArray, surface: Surface,
                    box: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """Return ground places (n, 3) that are hidden from the camera moved to what hides them.
+    """Return ground places (n, 3), each hidden one replaced by the place that hides it.
+
+    A ray may meet a surface more than once; the camera sees the first place. A hidden one stays
+    where the model does not hold at the place that hides it. How many are replaced is logged.
 
     Parameters
     ----------
@@ -96,7 +99,8 @@ def visible_ground(project: Projection, holds: Callable[[FloatArray], BoolArray]
     known_places = ground[np.isfinite(ground).all(axis=1), :2]
     if not len(known_places):
         return ground
-    # What hides a place is between it and the camera, which may be outside the control.
+    # What hides a place may be outside the control: within the known places and the control, and as
+    # far again on each side.
     centre, scale = box
     extent = np.vstack([known_places, centre[:2] - scale[:2], centre[:2] + scale[:2]])
     low, high = extent.min(axis=0), extent.max(axis=0)

@@ -189,7 +189,9 @@ class Method(ABC):
         return fitted.estimator.held_out(fitted)
 
     def declines(self, data: FitData) -> str | None:
-        """Return why the method is not for such features, as a sentence; None if it is.
+        """Return why the method is not for such features, as a clause; None if it is.
+
+        It begins in lower case and has no full stop, such as "it needs heights".
 
         It is asked before every fit, so it should be quick.
         """

@@ -247,7 +247,9 @@ class Writer(Configurable, ABC):
 
     @abstractmethod
     def write(self, result: Result, path: Path) -> None:
-        """Write `result` to `path`, completely or not at all (`termsel.core.files.atomic`).
+        """Write `result` to `path`.
+
+        `termsel.toolkit.write_text` writes it completely or not at all.
 
         Raises
         ------

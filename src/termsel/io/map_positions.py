@@ -259,10 +259,13 @@ class MapPositions:
 
 
 def _node_positions(shape: tuple[int, int], step: int) -> tuple[FloatArray, tuple[int, int]]:
-    """Return nodes (n, 2) that cover the centres of the pixels of a tile, and how many there are.
+    """Return nodes (n, 2) over a tile, row by row, and how many lie along lines and samples.
 
-    They are in lines and samples counted from its outer corner.
+    `shape` is that of the tile [px]. A node is at the centre of the first pixel and at every `step`
+    pixels from there, to the centre of the last pixel or beyond, and at least two each way. They
+    are in lines and samples counted from the tile's outer corner.
     """
+    # The number of steps is rounded up; the centre of a pixel is half a pixel from its corner.
     size = tuple(max(-(-(count - 1) // step), 1) + 1 for count in shape)
     lines, samples = np.indices(size)
     nodes = np.column_stack([lines.ravel(), samples.ravel()]) * float(step) + 0.5

@@ -517,7 +517,8 @@ def _refuse_other_content(path: Path, head: bytes) -> None:
 
     No reader recognises the file, and a general message would help nobody: its first bytes, `head`,
     may show what it is. A failed download is a web page, metadata of an image are JSON or XML, and
-    GeoJSON may have polygons. Files of any other content pass.
+    GeoJSON may have polygons. Any file called .toml is one of
+    settings. Files of any other content pass.
     """
     text = head.decode("utf-8-sig", errors="replace").lstrip()
     if path.suffix.lower() == ".toml":
@@ -562,9 +563,9 @@ def _refuse_other_content(path: Path, head: bytes) -> None:
 def _reader_that_recognises(path: Path, head: bytes, readers: Sequence[Reader]) -> Reader | None:
     """Return the reader that recognises a file by its first bytes; None if none does.
 
-    A built-in reader comes before those of plugins, of which any that recognises the file too is
-    noted. Among plugins, readers that are not general come first, and then those that do not
-    recognise noise. Raises TermselError if more than one is left.
+    Of plugins, a general reader stands back if another recognises the file. A built-in reader comes
+    before all of them, and those that are left are noted. Otherwise, of several the one is returned
+    that does not recognise noise. Raises TermselError if more than one does not, or none.
     """
     built_in_reader = next((reader for reader in readers
                             if is_own(type(reader)) and reader.sniff(path, head)), None)

@@ -188,8 +188,9 @@ def termsel_readers() -> Iterable[type[Reader]]:
     Returns
     -------
     iterable of type
-        Subclasses of `Reader`. The first whose `sniff` recognises a file reads it; built-in
-        readers are asked first.
+        Subclasses of `Reader`. A built-in one whose `sniff` recognises a file reads it, else the
+        one of a plugin that does; of several, one that is not `general`. If that leaves no single
+        one that does not recognise noise, the user has to choose.
     """
 
 

@@ -404,7 +404,7 @@ def _rmse_as_cell(rmse: RoleRmse) -> str:
 
 
 def _answer_on_bad_points(record: Record, view: View | None) -> Iterator[Block]:
-    """Yield the answer to "Which points are bad?".
+    """Yield the answer to "Which points or lines are outliers?".
 
     The verdict of the blunder test comes first, then the largest residuals as a chart and as a
     folded table. Of a line the vertex with the larger residual on the ground counts.
@@ -434,7 +434,7 @@ def _answer_on_bad_points(record: Record, view: View | None) -> Iterator[Block]:
 
 
 def _answer_on_weak_places(view: View | None) -> Iterator[Block]:
-    """Yield the answer to "Where is it weak?"; nothing without a `view`, which has the features.
+    """Yield the answer to "In which areas is the model uncertain?"; nothing without a `view`.
 
     The standard deviation is shown as a chart and a table, or the reason why it is not known.
     """

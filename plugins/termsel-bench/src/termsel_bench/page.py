@@ -23,9 +23,9 @@ from termsel_bench.tables import (
 def scores_document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
     """Return the page of scores.
 
-    It shows which method is best on which kind of image, where the method `title` loses by more
-    than `LOSS_RATIO`, if it was run, and all scores, folded. It states the protocol, that of
-    measured sets if there is one.
+    It shows which method is best on which kind of image; then, if the method with this `title` was
+    run, the sets on which its error is more than `LOSS_RATIO` times that of the best other method;
+    then all scores, folded. It states the protocol, that of measured sets if there is one.
     """
     header, rows = ratios_by_kind(scores)
     # Ratios are to the least RMSE of each set.

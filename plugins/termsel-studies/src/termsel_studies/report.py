@@ -137,8 +137,8 @@ def write(study: Study, folder: Path) -> list[Path]:
 
     summary.md and summary.tex have the tables. report.html, a page of tables and charts, and the
     charts in figures/ are written only if altair and vl-convert are installed. A page or chart that
-    cannot be drawn is left out with a warning. Charts of an earlier form of the study that this one
-    does not have are removed.
+    cannot be drawn is left out with a warning. Charts in figures/ that were not written now are
+    removed, whatever the reason; a report.html that is not written now stays as it was.
     """
     written = []
     for name, text in {"summary.md": study_as_markdown(study),

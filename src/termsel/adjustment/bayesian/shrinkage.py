@@ -54,7 +54,7 @@ def orthogonal_factors(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _qr_by_cholesky(columns: FloatArray) -> tuple[FloatArray, FloatArray, float] | None:
-    """Return Q and R, and the largest entry of |A'A - I|; None if R cannot be computed.
+    """Return Q and R, and the largest entry of |A'A - I|; None without an R that has an inverse.
 
     A are the columns (m, k). Q has their shape, and R is (k, k).
     """
@@ -66,8 +66,9 @@ def _qr_by_cholesky(columns: FloatArray) -> tuple[FloatArray, FloatArray, float]
         r = np.asarray(np.linalg.cholesky(gram).T, dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
+    # A'A = R'R, and so Q = A R^-1 is orthogonal.
     inverse, fault = lapack.dtrtri(r)
-    # In the order of Fortran the columns are the rows of a matrix.
+    # Q' = (R^-1)' A', as A' has the order of Fortran and is not copied.
     return None if fault else (blas.dtrmm(1.0, inverse, columns.T, trans_a=1).T, r, departure)
 
 

@@ -209,7 +209,7 @@ def _deciding_vertices(features: FeatureSet) -> BoolArray:
     return np.concatenate([~_is_set_aside(features.points), of_lines])
 
 
-# Places of points that are the same in every CRS.
+# Horizontal places of points that are the same in every CRS.
 
 FINEST = 1e-5
 """Part of their extent to which places are rounded: coordinates are written with few digits, and
@@ -217,15 +217,16 @@ places on one meridian must stay on one."""
 
 
 def to_globe(ground: FloatArray, crs: str) -> FloatArray:
-    """Return longitude and latitude [deg] and height of places (n, 3) in any CRS.
+    """Return places (n, 3) with longitude and latitude in place of x and y; the rest stays.
 
-    The first two are rounded to a small part of their extent; a single place has none, and is not
-    rounded. If the CRS does not give degrees, as "local" or most without pyproj, x and y are
-    rounded instead.
+    They are in degrees, or in gon if the CRS is. The third column is a height or, in a geocentric
+    CRS, Z. The first two are rounded to a small part of their extent; a single place has none, and
+    is not rounded. If the CRS does not give longitudes, as "local" or most without pyproj, x and y
+    are rounded instead.
     """
     if not len(ground):
         return ground
-    geodetic = _to_degrees(ground, normalise(crs))
+    geodetic = _with_longitudes(ground, normalise(crs))
     extent = np.ptp(geodetic[:, :2], axis=0).max(initial=0.0)
     if not 0.0 < extent < np.inf:
         return geodetic
@@ -235,10 +236,11 @@ def to_globe(ground: FloatArray, crs: str) -> FloatArray:
     return geodetic
 
 
-def _to_degrees(ground: FloatArray, crs: str) -> FloatArray:
-    """Return longitude, latitude [deg] and height (n, 3) of positions (n, 3).
+def _with_longitudes(ground: FloatArray, crs: str) -> FloatArray:
+    """Return positions (n, 3) with longitude and latitude in place of x and y; the rest stays.
 
-    If the CRS does not give degrees for all of them, a copy of the positions is returned.
+    They are in the angular unit of the CRS, and go on beyond 180 degrees rather than jump. If x and
+    y of any position cannot be transformed, as in "local", all stay. A copy is returned.
     """
     positions = ground.copy()
     try:
@@ -249,7 +251,7 @@ def _to_degrees(ground: FloatArray, crs: str) -> FloatArray:
             transform = transformation_between(horizontal_crs(crs), geodetic, strict=False)
             # Heights are of no account in the plane, and may be unknown.
             positions[:, :2] = transform(np.nan_to_num(ground))[:, :2]
-    except TermselError:  # without a CRS or without pyproj nothing shows
+    except TermselError:  # no CRS, or one that needs pyproj: x and y have to do
         return ground.copy()
     if not np.isfinite(positions[:, :2]).all():
         return ground.copy()

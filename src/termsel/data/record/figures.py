@@ -173,7 +173,7 @@ class RmseByRole(RecordPart, frozen=True):
     def __getitem__(self, role: str) -> Rmse | None:
         """Return the RMSE of a role, or that by "leave-one-out"; None if it has no features.
 
-        Its numbers are NaN where the record has None.
+        Its line, sample and total are NaN where the record has None.
 
         Raises
         ------

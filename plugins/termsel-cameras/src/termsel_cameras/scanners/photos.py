@@ -381,11 +381,11 @@ class FewOfPhoto(Method):
         if len(features.lines) or len(features.points) < MIN_PHOTO_POINTS:
             return (f"it is for {MIN_PHOTO_POINTS} to {MAX_PHOTO_POINTS} control points, without "
                     "lines")
-        # Without relief tilt and focal length are not distinguished.
         if features.without_height():
             return "it needs heights"
+        # Without relief tilt and focal length are not distinguished.
         if not control.heights and not self._has_relief(control):
-            return "it needs heights that differ"
+            return "it needs heights that are not all on a plane"
         return None
 
     def _has_relief(self, control: FitData) -> bool:
