@@ -58,7 +58,7 @@ def test_many_points_find_none_plainly() -> None:
 
 
 @pytest.mark.parametrize(("count", "wrong", "said"), [
-    (8, 3, "not detectable: 8 points are too few"),
+    (8, 3, "not detectable: 8 points are too few; with errors this large check each of them"),
     (11, 4, "not detectable: no model fits these points; check the columns, the units and the "
             "CRS")])
 def test_points_of_which_a_third_is_wrong_are_not_called_free_of_blunders(

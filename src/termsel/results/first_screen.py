@@ -443,7 +443,8 @@ def _no_outlier_clause(record: Record) -> str:
     nothing_fits = errors > NO_FIT * test.extent
     is_blind = test.limit is None or are_too_few_to_test(test, errors)
     if is_blind and test.features < NOT_FEW:
-        return f"not detectable: {features} {'is' if test.features == 1 else 'are'} too few"
+        check = "; with errors this large check each of them" if nothing_fits else ""
+        return f"not detectable: {features} {'is' if test.features == 1 else 'are'} too few{check}"
     if nothing_fits:
         return (f"not detectable: no model fits these {record.data.counts.word}; check the "
                 "columns, the units and the CRS")
