@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import logging
+import re
 import sys
-from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
+from copy import copy
 from pathlib import Path
+from textwrap import shorten
 from typing import TextIO
 
 import click
 
-from termsel.core.errors import DOUBT, ONCE, PENDING, TermselError, count_in_words, make_printable
+from termsel.core.errors import (
+    DOUBT,
+    IMAGE,
+    ONCE,
+    PENDING,
+    TermselError,
+    count_in_words,
+    make_printable,
+)
 
 _results: TextIO | None = None
 """What stdout was before `take_stdout`."""
@@ -129,18 +139,23 @@ def say_once(noun: str = "image") -> Iterator[None]:
     """Show only the first of many messages of a kind, and at the end how many more there were.
 
     Messages have their kind as the attribute ONCE, such as a doubt about a DEM that all images of a
-    batch share; others are all shown. Nobody reads the same sentence a hundred times.
+    batch share. Notes on images are of a kind if they differ in the name of the image alone; others
+    are all shown. Nobody reads the same sentence a hundred times.
     `noun` is what the images are called, such as sheet.
     """
-    counts: Counter[str] = Counter()
+    heard: dict[str, list[logging.LogRecord]] = {}
 
     def is_first(record: logging.LogRecord) -> bool:
         """Return whether a message is the first of its kind, or has no kind."""
-        kind = getattr(record, ONCE, None)
-        if kind is None:
+        kind = _kind_of(record)
+        if not kind:
             return True
-        counts[kind] += 1
-        return counts[kind] == 1
+        alike = heard.setdefault(kind, [])
+        # A file that is looked at twice is one image.
+        images = [getattr(other, IMAGE, "") for other in alike]
+        if not (image := getattr(record, IMAGE, "")) or image not in images:
+            alike.append(record)
+        return record is alike[0]
 
     # At the handlers: a filter of the logger itself would miss messages of loggers below it.
     handlers = logging.getLogger("termsel").handlers
@@ -151,10 +166,44 @@ def say_once(noun: str = "image") -> Iterator[None]:
     finally:
         for handler in handlers:
             handler.removeFilter(is_first)
-        for kind, count in counts.items():
-            if count > 1:
-                others = count_in_words(count - 1, f"further {noun}")
-                echo(f"Note: that on {kind} concerns {others} as well.", err=True)
+        for first, *others in heard.values():
+            if others:
+                remark = _remark_on(first, count_in_words(len(others), f"further {noun}"))
+                for handler in handlers:
+                    handler.handle(remark)
+
+
+def _kind_of(record: logging.LogRecord) -> str:
+    """Return what all messages share of which the first is shown; "" for a message of no kind."""
+    image = getattr(record, IMAGE, "")
+    text = record.getMessage()
+    if hasattr(record, ONCE) or not image or not text.startswith(_NOTE):
+        return str(getattr(record, ONCE, ""))
+    names = "|".join(re.escape(name) for name in (image, Path(image).name))
+    return re.sub(rf"(?<!\w)({names})(?!\w)", "", text)
+
+
+def _remark_on(first: logging.LogRecord, others: str) -> logging.LogRecord:
+    """Return the remark that the first message of a kind is true of others, too.
+
+    It is a record like the first, so that it waits, is printed and is dropped wherever that is.
+    """
+    remark = copy(first)
+    remark.args = ()
+    if kind := getattr(first, ONCE, ""):
+        remark.msg = f"Note: that on {kind} concerns {others} as well."
+        return remark
+    image = getattr(first, IMAGE)
+    sentence = first.getMessage().removeprefix(_NOTE).removeprefix(f"{image}: ")
+    remark.msg = (f"Note: as in {image}, so in {others}: "
+                  f"{shorten(sentence.rstrip('.'), _LONGEST_REMINDER, placeholder=' ...')}")
+    return remark
+
+
+_NOTE = "Note: "
+
+_LONGEST_REMINDER = 60
+"""Characters of a note that tell which one it is."""
 
 
 def show_messages() -> None:

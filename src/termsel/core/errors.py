@@ -161,6 +161,9 @@ DOUBT = "doubt"
 ONCE = "termsel_once"
 """Attribute of a log record: what it is about; of many images the first alone gets the words."""
 
+IMAGE = "termsel_image"
+"""Attribute of a log record: the name of the image of many that it is about."""
+
 
 _DEGREES = {"linear": 1, "quadratic": 2, "cubic": 3}
 """Degrees of polynomials by what the summary of a run calls them."""

@@ -79,10 +79,6 @@ class PointsCsv(TableReader):
         return parts_of(header, [row for row in rows[first + 1:] if len(row) == len(header)])
 
 
-READ_AS_PIXELS = "are read as sample and line"
-"""What a note says of columns x and y next to others on the ground."""
-
-
 def parts_of(header: Sequence[str], rows: Sequence[Sequence[str]]) -> dict[str, dict[str, Any]]:
     """Return the options of each image of a table; empty where it has one image."""
     images = _images_of(dict(zip(header, zip(*rows, strict=True), strict=False)))
@@ -127,7 +123,7 @@ def _note_x_and_y_as_pixels(table: Table, features: FeatureSet) -> None:
         raise table.error("x and y are no pixels, and there are no other columns of the image", 0,
                           "sample", "Declare the columns of the image, --columns "
                                     "line=NAME,sample=NAME.")
-    log.info(f"Note: x and y {READ_AS_PIXELS}, next to %s and %s on the ground.",
+    log.info("Note: x and y are read as sample and line, next to %s and %s on the ground.",
              table.names["x"].strip(), table.names["y"].strip())
 
 

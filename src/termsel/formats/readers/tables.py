@@ -402,9 +402,6 @@ def points_of(table: Table, crs: str) -> FeatureSet:
 
 log = logging.getLogger(__name__)
 
-NO_HEIGHTS = "so its heights are unknown"
-"""What a note says of a table without a column of heights."""
-
 COLUMNS: tuple[Option, ...] = (
     Option("columns", "", "Which column is which, as meaning=name or meaning=number, such as "
                           "x=Rechtswert,line=4 (--columns)."),
@@ -497,7 +494,7 @@ def _column_by_meaning(path: Path | None, line: int | None, header: Sequence[str
                               {**last_by_name, **stated}, aliases, fixed)
     # Logged if the command succeeds: the columns of a table that fails are looked for again.
     if flat and not any(is_there(meaning) for meaning in heights):
-        log.info(f"Note: %s has no column for %s, {NO_HEIGHTS}. Accepted names: %s.",
+        log.info("Note: %s has no column for %s, so its heights are unknown. Accepted names: %s.",
                  path or "the table", " and ".join(heights), ", ".join(aliases[heights[0]]),
                  extra={PENDING: ON_SUCCESS})
     return columns

@@ -9,6 +9,8 @@ from contextvars import ContextVar
 from functools import cache
 from typing import Any
 
+from termsel.core.errors import IMAGE
+
 _image: ContextVar[str] = ContextVar("image", default="")  # under way in this thread
 
 _MARKS = ("Warning: ", "Note: ")
@@ -32,11 +34,6 @@ def name_image_in_log(image: str) -> Iterator[list[str]]:
     finally:
         logger.removeHandler(keeper)
         _image.reset(before)
-
-
-def image_at_work() -> str:
-    """Return the name that `name_image_in_log` puts into messages now; "" for none."""
-    return _image.get()
 
 
 class _Keeper(logging.Handler):
@@ -75,6 +72,7 @@ def _name_images() -> None:
             # A reader names its file itself.
             record.msg = text if sentence.startswith(image) else f"{mark}{image}: {sentence}"
             record.args = ()
+            setattr(record, IMAGE, image)
         return record
 
     logging.setLogRecordFactory(with_name)

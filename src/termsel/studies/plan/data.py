@@ -7,22 +7,20 @@ import logging
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Timer
 from typing import Any
 
 from termsel.core.display.quiet import quiet_logger
-from termsel.core.errors import TermselError, count_in_words
+from termsel.core.errors import TermselError
 from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
-from termsel.formats.readers.csv_tables import READ_AS_PIXELS
-from termsel.formats.readers.tables import NO_HEIGHTS
 from termsel.io.read import parts_of, read
 from termsel.plugins.registry import registry
 from termsel.results.result import checksum_of_attributes, checksum_of_features
-from termsel.studies.execution.naming import image_at_work, name_image_in_log
+from termsel.studies.execution.naming import name_image_in_log
 from termsel.studies.plan.places import Path as Keys
 from termsel.studies.plan.spec import Source, Spec
 
@@ -56,9 +54,7 @@ def data_of(spec: Spec, folder: Path, tables: frozenset[Path] = frozenset()) -> 
     """
     data_sets: list[Data] = []
     # What is said of the heights of one file would stand there for each of hundreds.
-    with (quiet_logger("termsel.formats.heights", logging.WARNING),
-          _said_once(NO_HEIGHTS, "termsel.formats.readers.tables"),
-          _said_once(READ_AS_PIXELS, "termsel.formats.readers.csv_tables")):
+    with quiet_logger("termsel.formats.heights", logging.WARNING):
         for source in spec.data:
             data_sets += _data_of_source(spec, source, folder, tables)
     _say_heights(data_sets)
@@ -73,31 +69,6 @@ def data_of(spec: Spec, folder: Path, tables: frozenset[Path] = frozenset()) -> 
         raise TermselError(data_sets[0].reason, hint=None if len(data_sets) == 1 else
                            f"None of the {len(data_sets)} data can be read; this is the first.")
     return data_sets
-
-
-@contextmanager
-def _said_once(words: str, by: str) -> Iterator[None]:
-    """Let the logger `by` log a note with these words for the first image only.
-
-    After a block that raises nothing, a note tells of how many further images it is true.
-    """
-    images: set[str] = set()
-
-    def is_first(record: logging.LogRecord) -> bool:
-        """Return whether a record is logged: the first with these words, or one without them."""
-        if words not in record.getMessage():
-            return True
-        images.add(image_at_work())
-        return len(images) == 1
-
-    logger = logging.getLogger(by)
-    logger.addFilter(is_first)
-    try:
-        yield
-    finally:
-        logger.removeFilter(is_first)
-    if len(images) > 1:
-        log.info("Note: so it is in %s.", count_in_words(len(images) - 1, "further image"))
 
 
 def _say_heights(data_sets: Sequence[Data]) -> None:
