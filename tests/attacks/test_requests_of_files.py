@@ -125,6 +125,10 @@ def test_an_index_of_tiles(folder: Path, server) -> None:
         read(folder / "dem.gti")
 
 
+@pytest.mark.slow_cases(
+    "check plain.tif", "match-points plain.tif --reference x.vrt --start corners -o a.csv",
+    "rectify @R plain.tif --dem x.vrt -o map.tif", "rectify @R x.vrt --height 3 -o map.tif",
+    "report @R --image x.vrt -o page.html")
 @pytest.mark.parametrize("words", [
     ("rectify", "@R", "plain.tif", "--dem", "x.vrt", "-o", "map.tif"),
     ("rectify", "@R", "x.vrt", "--height", "3", "-o", "map.tif"),

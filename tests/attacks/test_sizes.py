@@ -121,7 +121,7 @@ def test_an_open_document_that_repeats(folder: Path, refused) -> None:
     refused("run", "--points", "a.ods", "--crs", "EPSG:4979")
 
 
-@pytest.mark.slow_cases("sum")
+@pytest.mark.slow_cases("rows", "sum")
 @pytest.mark.parametrize("view", [
     "WITH RECURSIVE n(fid) AS (SELECT 1 UNION ALL SELECT fid + 1 FROM n) SELECT fid, "
     "(SELECT geom FROM x) AS geom FROM n",
@@ -162,6 +162,7 @@ def test_virtual_rasters_that_multiply(folder: Path, refused, made_result: Path)
         pass
 
 
+@pytest.mark.slow_cases("sparse", "strip")
 @pytest.mark.parametrize("how", ["sparse", "strip", "header"])
 def test_a_small_image_of_any_size(how: str, folder: Path, refused, made_result: Path) -> None:
     rasterio = pytest.importorskip("rasterio")

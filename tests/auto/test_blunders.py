@@ -47,8 +47,9 @@ def all_control(features: FeatureSet) -> FeatureSet:
 
 
 @pytest.mark.slow_cases(
-    "ikonos-hamedan-1", "ikonos-hamedan-2", "ikonos-hamedan-3", "irs1c-mashad-1", "irs1c-mashad-2",
-    "irs1c-mashad-3", "spot-isfahan-1", "spot-isfahan-2", "spot-isfahan-3")
+    "ikonos-hamedan-0", "ikonos-hamedan-1", "ikonos-hamedan-2", "ikonos-hamedan-3",
+    "irs1c-mashad-1", "irs1c-mashad-2", "irs1c-mashad-3", "spot-isfahan-0", "spot-isfahan-1",
+    "spot-isfahan-2", "spot-isfahan-3")
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("name", ["ikonos-hamedan", "spot-isfahan", "irs1c-mashad"])
 def test_a_fifth_of_blunders_is_found_and_nothing_else(name: str, seed: int) -> None:
@@ -344,6 +345,7 @@ def small_scale_map(project: Callable[[np.ndarray, np.ndarray], np.ndarray], rea
     return FitData.of(FeatureSet(points, crs="EPSG:4326", lines=empty_lines()), False), is_wrong
 
 
+@pytest.mark.slow_cases("mercator-175.0")
 @pytest.mark.parametrize(("project", "reach"), [(hemisphere, 80.0), (mercator, 175.0)])
 def test_right_points_of_a_map_of_half_the_earth_are_no_blunders(
         project: Callable[[np.ndarray, np.ndarray], np.ndarray], reach: float) -> None:

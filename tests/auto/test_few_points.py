@@ -245,7 +245,7 @@ def test_heights_that_tell_nothing_have_no_terms_and_their_effect_is_known(kind:
         {"P0", "P1"} if kind == "land" else set())
 
 
-@pytest.mark.slow_cases("dust-owdis-points", "slope-rfm-terms")
+@pytest.mark.slow_cases("dust-owdis-points", "dust-rfm-terms", "slope-rfm-terms")
 @pytest.mark.parametrize("problem", ["rfm-terms", "owdis-points"])
 @pytest.mark.parametrize("kind", ["dust", "slope"])
 def test_a_search_from_flat_control_takes_no_term_with_heights(problem: str, kind: str) -> None:

@@ -83,7 +83,7 @@ def projection_of(result: termsel.Result) -> str:
     return "" if data.fit_crs == data.crs else data.fit_crs.split('"')[1].partition(" about")[0]
 
 
-@pytest.mark.slow_cases("conic-12", "conic-14", "stereographic-10")
+@pytest.mark.slow_cases("conic-12", "conic-14", "conic-6", "stereographic-10")
 @pytest.mark.parametrize(("projection", "count", "crs"), [
     (CONIC, 6, "EPSG:4326"), (CONIC, 12, "EPSG:4326"), (CONIC, 14, "EPSG:3857"),
     (f"+proj=stere +lat_0=46 +lon_0=7 {EARTH}", 10, "EPSG:4258"),
@@ -149,6 +149,9 @@ def test_a_map_of_the_world_in_mercator_is_fitted_in_mercator() -> None:
     assert rms_error(result, others) < 3.0
 
 
+@pytest.mark.slow_cases(
+    "10-5.0-210.0-moll-Mollweide", "10-5.0-210.0-robin-Robinson", "8--45.0-150.0-robin-Robinson",
+    "8--45.0-150.0-wintri-Winkel tripel")
 @pytest.mark.parametrize(("method", "name"), [
     ("robin", "Robinson"), ("wintri", "Winkel tripel"), ("moll", "Mollweide")])
 @pytest.mark.parametrize(("count", "lon", "width"), [(10, 5.0, 210.0), (8, -45.0, 150.0)])
@@ -170,6 +173,7 @@ def test_a_chart_drawn_in_degrees_stays_in_degrees() -> None:
     assert projection_of(termsel.run(features=features)) == ""
 
 
+@pytest.mark.slow_cases("EPSG:3857")
 @pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:3857"])
 def test_the_plan_of_a_town_is_fitted_in_its_own_coordinates(crs: str) -> None:
     # Over 2 km no projection differs from another by what anyone measures.

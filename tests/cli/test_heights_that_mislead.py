@@ -108,6 +108,7 @@ def _in_ed50(files: Path, kind: str) -> list[object]:
     return [f"--{kind}", path]
 
 
+@pytest.mark.slow_cases("points")
 @needs_rpc
 @pytest.mark.parametrize("kind", ["points", "lines"])
 def test_heights_that_count_from_another_ellipsoid_are_named_with_what_they_do_to_an_rpc(

@@ -89,6 +89,8 @@ SITUATIONS: dict[str, tuple[Callable[[], None], list[str]]] = {
 }
 
 
+@pytest.mark.slow_cases(
+    "a blunder among independent points", "lines by another property", "x and y exchanged")
 @pytest.mark.parametrize("situation", SITUATIONS)
 def test_a_printed_command_runs_as_it_is(situation: str, folder: Path, call: Call) -> None:
     prepare, words = SITUATIONS[situation]

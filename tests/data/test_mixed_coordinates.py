@@ -284,6 +284,7 @@ def test_zeros_that_are_left_out_raise_no_doubt(tmp_path: Path,
     assert not any(said in note for note in result.notes)
 
 
+@pytest.mark.slow_cases("option-EPSG:32632-500050-5.2e12-300", "option-EPSG:4979-8.001-460.1-300")
 @pytest.mark.parametrize(("crs", "x", "y", "z"), [
     ("EPSG:4979", "8.001", "460.1", "300"), ("EPSG:4979", "1120", "47", "300"),
     ("EPSG:32632", "500050", "5.2e12", "300"), ("EPSG:32632", "8.001", "47", "300"),

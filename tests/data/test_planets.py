@@ -45,7 +45,10 @@ BODIES = [("IAU_2015:49900", 137.4, -4.6, 3396190.0, "4.6 S, 137.4 E on Mars"),
           ("ESRI:104905", 137.4, -4.6, 3396190.0, "4.6 S, 137.4 E on Mars")]
 
 
-@pytest.mark.slow_cases("ESRI:104905-137.4--4.6-3396190.0-4.6 S, 137.4 E on Mars")
+@pytest.mark.slow_cases(
+    "ESRI:104905-137.4--4.6-3396190.0-4.6 S, 137.4 E on Mars",
+    "IAU_2015:30100-23.4-60.0-1737400.0-60.0 N, 23.5 E on the Moon",
+    "IAU_2015:49900-222.6--4.6-3396190.0-4.6 S, 137.4 W on Mars")
 @pytest.mark.parametrize(("crs", "lon", "lat", "radius", "place"), BODIES)
 def test_errors_in_metres_are_those_of_the_body(crs: str, lon: float, lat: float, radius: float,
                                                 place: str) -> None:

@@ -61,6 +61,7 @@ def true_error(result: termsel.Result) -> float:
     return float(np.hypot(np.sqrt((errors**2).sum(axis=1).mean()), NOISE * np.sqrt(2)))
 
 
+@pytest.mark.slow_cases("11", "13")
 @pytest.mark.parametrize("n", [11, 12, 13, 30, 59])
 def test_auto_gives_no_point_away_where_few_are_there(n: int) -> None:
     result = termsel.run(features=sheet(n))
@@ -297,6 +298,8 @@ def test_the_command_line_says_the_same(tmp_path: Path) -> None:
             in done.output)
 
 
+@pytest.mark.slow_cases(
+    "['--role', 'P3=check,P1=control']-False", "['--role', 'P3=check,P1=independent']-False")
 @pytest.mark.parametrize(("words", "is_noted"), [
     (["--role", "P3=check,P1=check"], True),
     (["--role", "P3=check", "--role", "P1=check"], True),

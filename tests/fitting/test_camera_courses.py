@@ -112,6 +112,7 @@ def test_an_image_without_noise_is_certain() -> None:
     assert np.sqrt(courses.squares(ground, image).max()) < 1e-2 * 1e-3
 
 
+@pytest.mark.slow_cases("still")
 @pytest.mark.parametrize("shift", [shaken_in_time, bent_film, still])
 def test_one_point_more_changes_no_uncertainty_at_once(shift: Shift) -> None:
     # From 200 points to 201 it rose by up to a half.

@@ -249,6 +249,7 @@ def test_errors_of_vendors_have_no_mark() -> None:
         assert read_errors(*errors) == (*errors, 0)
 
 
+@pytest.mark.slow_cases("None")
 @pytest.mark.parametrize("problem", [None, "rpc-gcps"])
 def test_what_its_own_points_say_of_an_rpc_without_its_record_is_cautioned(
         problem: str | None) -> None:

@@ -155,6 +155,8 @@ def test_control_around_a_pole_is_mapped_in_a_polar_projection(
     assert made(scene("EPSG:4979", 160.0, lat, gsd=1600.0), tmp_path)[0] == expected
 
 
+@pytest.mark.slow_cases(
+    "EPSG:26711-EPSG:26911--117.0-34.0-211.8", "EPSG:28355-EPSG:7855-147.0--36.0-1.5")
 @pytest.mark.parametrize(("crs", "target", "lon", "lat", "moved"), [
     ("EPSG:28355", "EPSG:7855", 147.0, -36.0, 1.5), ("EPSG:7855", "EPSG:28355", 147.0, -36.0, 1.5),
     ("EPSG:26711", "EPSG:26911", -117.0, 34.0, 211.8),

@@ -59,6 +59,7 @@ def relief(path: Path, crs: str = CRS) -> Path:
     return path
 
 
+@pytest.mark.slow_cases("metres")
 @pytest.mark.parametrize("crs", [CRS, "EPSG:4326"], ids=["metres", "degrees"])
 def test_each_pixel_shows_the_image_at_its_own_ground(crs: str, tmp_path: Path) -> None:
     result = termsel.run(features=control(jump=6.0))

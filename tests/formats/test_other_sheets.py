@@ -22,6 +22,7 @@ def files(example_files: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
     return Path(shutil.copytree(example_files, tmp_path_factory.mktemp("example") / "files"))
 
 
+@pytest.mark.slow_cases("scan.tif-False", "sheet-1.tif-True", "sheet-four.tif-False")
 @pytest.mark.parametrize(("image", "is_doubted"), [
     ("sheet-4.tif", False), ("sheet-1.tif", True), ("Sheet-04.tif", True), ("scan.tif", False),
     ("sheet-four.tif", False)])

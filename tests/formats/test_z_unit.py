@@ -74,6 +74,8 @@ def opening(result: termsel.Result) -> str:
     return result.summary().partition("\n\n")[0].replace("\n    ", " ")
 
 
+@pytest.mark.slow_cases(
+    "ft-0.3048-z in feet, as stated", "us-ft-0.3048006096012192-z in US survey feet, as stated")
 @pytest.mark.parametrize(("asked", "unit", "words"), [
     ("us-ft", US_FOOT, "z in US survey feet, as stated"),
     ("crs", US_FOOT, "z in US survey feet, as stated"),

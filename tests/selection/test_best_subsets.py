@@ -406,7 +406,8 @@ def left_out(system: SubsetSystem, rng: np.random.Generator, dependent: bool) ->
 
 
 @pytest.mark.slow_cases(
-    "check-4000", "kfold-150", "kfold-4000", "press-4000", "rational-4000", "rss-150", "rss-4000")
+    "check-4000", "kfold-150", "kfold-4000", "press-150", "press-4000", "rational-4000", "rss-150",
+    "rss-4000")
 @pytest.mark.parametrize(("kind", "problems"), [
     (kind, n) for kind in ("check", "rational", "rss", "press", "kfold") for n in (150, 4000)])
 def test_bounds_lose_no_best_subset(kind: str, problems: int,

@@ -161,7 +161,7 @@ def test_a_checkpoint_of_other_data_is_refused(task: termsel.Task, tmp_path: Pat
         found(other, checkpoint=file)
 
 
-@pytest.mark.slow_cases("check-1", "check-3", "control-2", "control-3")
+@pytest.mark.slow_cases("check-1", "check-3", "control-1", "control-2", "control-3")
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("role", ["control", "check"])
 def test_a_checkpoint_is_refused_once_one_reading_is_corrected(

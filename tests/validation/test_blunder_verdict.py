@@ -33,7 +33,8 @@ def scene(moved: dict[str, float], n: int = 60, seed: int = 3) -> FeatureSet:
 
 
 @pytest.mark.slow_cases(
-    "owdis-points-check", "owdis-points-independent", "rfm-terms-check", "rfm-terms-independent")
+    "owdis-points-check", "owdis-points-independent", "poly-terms-check",
+    "rfm-terms-check", "rfm-terms-control", "rfm-terms-independent")
 @pytest.mark.parametrize("role", ROLES)
 @pytest.mark.parametrize("problem", PROBLEMS)
 def test_every_problem_names_the_blunder_and_no_other(problem: str, role: str) -> None:

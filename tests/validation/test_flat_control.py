@@ -53,7 +53,8 @@ def scene(camera: str, relief: str, count: int, noise: float = 0.5) -> FeatureSe
 
 
 @pytest.mark.slow_cases(
-    "photo-level-8-the heig", "scanner-dust-12-the heig", "scanner-hills-12-the heig",
+    "photo-level-8-the heig", "photo-slope-12-heights ", "scanner-dust-12-the heig",
+    "scanner-hills-12-the heig", "scanner-level-8-the heig", "tilted-dust-12-the heig",
     "tilted-dust-20-the heig", "tilted-dust-30-the heig")
 @pytest.mark.parametrize(("camera", "relief", "count", "covers"), [
     ("affine", "level", 4, "the height 0 m alone"),

@@ -57,6 +57,8 @@ def test_many_points_find_none_plainly() -> None:
     assert result.blunder_test.limit < 10
 
 
+@pytest.mark.slow_cases(
+    "11-4-not detectable: no model fits these points; check the columns, the units and the CRS")
 @pytest.mark.parametrize(("count", "wrong", "said"), [
     (8, 3, "not detectable: 8 points are too few; with errors this large check each of them"),
     (11, 4, "not detectable: no model fits these points; check the columns, the units and the "

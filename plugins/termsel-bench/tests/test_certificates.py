@@ -426,6 +426,7 @@ def test_values_that_no_certificate_can_hold_are_refused_before_the_search(
     assert "lower degree" in str(caught.value.hint)
 
 
+@pytest.mark.slow_cases("TemporaryDirectory-error2", "tree_of-error1")
 @pytest.mark.parametrize(("name", "error"), [
     ("check", check.Refused("axis line, step 3: it does not hold")),
     ("tree_of", ValueError("a number is not finite")),

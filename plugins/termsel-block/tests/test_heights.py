@@ -129,7 +129,7 @@ def moved_to(block: Block, crs: str) -> Block:
     return replace(block, crs=crs, images=tuple(images))
 
 
-@pytest.mark.slow_cases("without control-dem")
+@pytest.mark.slow_cases("control-dem", "control-level", "without control-dem")
 @pytest.mark.parametrize("with_dem", [False, True], ids=["level", "dem"])
 @pytest.mark.parametrize("control", [(6, 6), ()], ids=["control", "without control"])
 def test_a_block_is_the_same_in_feet(
@@ -305,7 +305,9 @@ def in_plane_feet(folder: Path, metres_per_z: float, name_of_z: str = "z") -> tu
     return file, in_degrees
 
 
-@pytest.mark.slow_cases("crs-0.3048006096012192-US survey feet", "metre-1.0-metres")
+@pytest.mark.slow_cases(
+    "crs-0.3048006096012192-US survey feet", "metre-1.0-metres",
+    "us-ft-0.3048006096012192-US survey feet")
 @pytest.mark.parametrize(("unit", "metres", "words"), [
     ("us-ft", 1200 / 3937, "US survey feet"), ("crs", 1200 / 3937, "US survey feet"),
     ("ft", 0.3048, "feet"), ("metre", 1.0, "metres")])

@@ -144,6 +144,7 @@ def test_auto_chooses_the_camera_and_reads_it_back(tmp_path: Path) -> None:
     assert np.isnan(again.project(behind)).all()
 
 
+@pytest.mark.slow_cases("50.0")
 @pytest.mark.parametrize("down", [88.0, 50.0])
 def test_auto_chooses_the_camera_of_four_points(down: float) -> None:
     """An affine map meets four points whatever they are, so that it shows no departure."""
@@ -239,6 +240,7 @@ LATITUDE, LONGITUDE, ALTITUDE = 45.146393, 13.727967, 1500.0
 FOCAL_IN_EXIF = 24.0 / np.hypot(36.0, 24.0) * 5000.0
 
 
+@pytest.mark.slow_cases("4-0.0-1500.0-None", "7-0.0-1500.0-None")
 @pytest.mark.parametrize(("east", "altitude", "off"), [
     (0.0, ALTITUDE, None),
     (0.0, ALTITUDE - 900.0, None),  # counted from the take-off

@@ -200,6 +200,11 @@ def series_sheet(crs: str, number: int, seed: int, noise: float) -> FeatureSet:
                              np.column_stack([degrees, np.full(count, np.nan)])), crs="EPSG:4326")
 
 
+@pytest.mark.slow_cases(
+    "+proj=bonne +lat_1=45 +lon_0=2.3372 +ellps=clrk80ign +units=m +no_defs-0.5",
+    "+proj=merc +lon_0=2.8 +datum=WGS84 +units=m +no_defs-0.5",
+    "+proj=poly +lat_0=47 +lon_0=2.8 +datum=WGS84 +units=m +no_defs-0.5",
+    "+proj=poly +lat_0=47 +lon_0=2.8 +datum=WGS84 +units=m +no_defs-4.0")
 @pytest.mark.parametrize("noise", [0.5, 4.0])
 @pytest.mark.parametrize("crs", [BONNE, MERCATOR, POLYCONIC])
 def test_a_series_is_of_the_projection_in_which_its_sheets_are_alike(
@@ -350,7 +355,7 @@ def with_blunder(features: FeatureSet, place: int, shift: tuple[float, float]) -
     return features.with_(points=replace(features.points, image=image))
 
 
-@pytest.mark.slow_cases("large-0", "large-9", "small-3")
+@pytest.mark.slow_cases("large-0", "large-3", "large-9", "small-0", "small-3")
 @pytest.mark.parametrize("place", [0, 3, 9])
 @pytest.mark.parametrize("shift", [(-40.0, 60.0), (900.0, 400.0)], ids=["small", "large"])
 def test_a_map_with_a_blunder_takes_the_projection_of_its_other_points(

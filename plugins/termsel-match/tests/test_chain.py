@@ -63,6 +63,7 @@ def test_half_of_the_candidates_may_be_wrong(place: Any) -> None:
     assert errors[1] < max(1.2 * errors[0], 0.15)
 
 
+@pytest.mark.slow_cases("0.0-0.0-poly2d", "0.0-0.5-affine")
 @pytest.mark.parametrize(("slope", "hill", "model"), [
     (0.0, 0.0, "poly2d"), (0.02, 0.0, "poly2d"), (0.0, 0.5, "affine")])
 def test_level_ground_needs_no_heights(place: Any, slope: float, hill: float, model: str) -> None:

@@ -164,6 +164,7 @@ def test_regressions_select_columns(solver: str) -> None:
     assert set(TermSelector(solver=solver).fit(X, y).get_support(indices=True)) >= {1, 4}
 
 
+@pytest.mark.slow_cases("0.0125-swap", "0.1-swap", "10000.0-swap", "4.0-swap")
 @pytest.mark.parametrize("solver", ["swap", "exact", "stepwise"])
 @pytest.mark.parametrize("scale", [1e-9, 1 / 80, 0.1, 4.0, 1e4])
 def test_only_the_ratio_of_weights_counts(solver: str, scale: float) -> None:
