@@ -19,7 +19,14 @@ from termsel.core.errors import TermselError
 from termsel.data.features import FloatArray
 from termsel.data.rpc import Rpc
 from termsel.formats.pictures import Picture
-from termsel.formats.rpc_files import read_rpc, rpb_text, rpc_items, rpc_txt_text
+from termsel.formats.rpc_files import (
+    ERROR_NAMES,
+    RPB_NAMES,
+    read_rpc,
+    rpb_text,
+    rpc_items,
+    rpc_txt_text,
+)
 from termsel.formats.vrt import vrt_text
 
 pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
@@ -211,12 +218,44 @@ def test_values_of_an_rpc_are_finite_and_as_many_as_stated(
         _simple(**values)
 
 
-@pytest.mark.parametrize("error", ["nan", "-1"])
-def test_an_error_that_is_not_known_is_none(error: str, tmp_path: Path) -> None:
-    path = tmp_path / "a_RPC.TXT"
-    path.write_text(rpc_txt_text(_simple(error_bias=2.0)).replace("ERR_BIAS: 2.0",
-                                                                  f"ERR_BIAS: {error}"))
+@pytest.mark.parametrize("form", ["RPC.TXT", "RPB", "XML", "EnMAP", "PAM", "JSON", "YAML"])
+@pytest.mark.parametrize("error", ["nan", ".nan", ".NaN", "NaN", "null", "None", "~", "N/A", "",
+                                   "-1"])
+def test_an_error_that_is_not_known_is_none(error: str, form: str, tmp_path: Path) -> None:
+    path = tmp_path / "rpc"
+    path.write_text(with_error_bias(form, error))
     assert read_rpc(path).error_bias is None
+    path.write_text(with_error_bias(form, "2.5"))
+    assert read_rpc(path).error_bias == 2.5
+
+
+def test_an_error_that_json_states_as_nan_is_none(tmp_path: Path) -> None:
+    path = tmp_path / "rpc.json"
+    for error in (float("nan"), None):
+        path.write_text(json.dumps({**rpc_items(some_rpc()), "ERR_BIAS": error}))
+        assert read_rpc(path).error_bias is None
+
+
+def with_error_bias(form: str, error: str) -> str:
+    """Return an RPC in a form of files, with the text of its error bias."""
+    items = {**rpc_items(some_rpc()), "ERR_BIAS": error}
+    if form == "RPC.TXT":
+        return rpc_txt_text(some_rpc()).replace("ERR_BIAS: -1.0", f"ERR_BIAS: {error}")
+    if form == "RPB":
+        return rpb_text(some_rpc()).replace("errBias = -1.0", f"errBias = {error}")
+    if form == "XML":
+        names = {name: rpb.upper() for name, rpb in (RPB_NAMES | ERROR_NAMES).items()}
+        return "<isd>" + "".join(f"<{names[name]}>{value}</{names[name]}>"
+                                 for name, value in items.items() if name in names) + "</isd>"
+    if form == "EnMAP":
+        return enmap(500.0).replace("<bandID number='1'>",
+                                    f"<bandID number='1'><ERR_BIAS>{error}</ERR_BIAS>", 1)
+    if form == "PAM":
+        entries = "".join(f"<MDI key='{name}'>{value}</MDI>" for name, value in items.items())
+        return f"<PAMDataset><Metadata domain='RPC'>{entries}</Metadata></PAMDataset>"
+    if form == "JSON":
+        return json.dumps(items)
+    return orthority("a.tif").replace("    rpc:\n", f"    rpc:\n        err_bias: {error}\n")
 
 
 @given(st.floats(0.01, 0.2), st.integers(0, 10**6))

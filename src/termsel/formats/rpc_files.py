@@ -53,6 +53,9 @@ RPB_NAMES = {
 
 ERROR_NAMES = {"ERR_BIAS": "errBias", "ERR_RAND": "errRand"}
 
+_UNKNOWN_ERRORS = ("", "nan", ".nan", "none", "null", "~", "n/a", "unknown")
+"""How files state that an error is not known, in small letters; so does a negative number."""
+
 KNOWN = ("RPB, _RPC.TXT, DIMAP XML, DigitalGlobe XML, EnMAP XML, JSON of rpcm or of the Data "
          "Fusion Contest 2019, Orthority YAML, VRT or .aux.xml with an RPC domain, or an image "
          "that has an RPC")
@@ -260,9 +263,11 @@ def _rpc_of_head(path: Path, head: bytes, rpc_name: str) -> Rpc:
     items = {}
     for name, (value, line) in entries.items():
         item = gdal_names.get(name, name)
-        if item.startswith((*RPB_NAMES, *ERROR_NAMES)):
+        states_number = item.startswith((*RPB_NAMES, *ERROR_NAMES))
+        if states_number and not (item in ERROR_NAMES and _is_unknown(value)):
             for number in (_NUMBERS.findall(value) if "(" in value else value.split()[:1]):
                 _number_of_item(number, name, line)
+        if states_number:
             items[item] = value
     if items.keys() & (RPB_NAMES.keys() | {"LINE_NUM_COEFF_1"}):
         values = {name: value for name, (value, _) in entries.items()}
@@ -410,8 +415,8 @@ def from_items(items: Mapping[str, str]) -> Rpc:
         return numbers
 
     # Errors are no part of the model, and vendors leave them out or blank.
-    bias, random, count = read_errors(*(number_of(name) if items.get(name) else None
-                                        for name in ERROR_NAMES))
+    bias, random, count = read_errors(*(
+        None if _is_unknown(items.get(name, "")) else number_of(name) for name in ERROR_NAMES))
     return Rpc(
         image_offset=(number_of("LINE_OFF"), number_of("SAMP_OFF")),
         image_scale=(number_of("LINE_SCALE"), number_of("SAMP_SCALE")),
@@ -422,6 +427,11 @@ def from_items(items: Mapping[str, str]) -> Rpc:
         sample_numerator=coefficients_of("SAMP_NUM_COEFF"),
         sample_denominator=coefficients_of("SAMP_DEN_COEFF"),
         error_bias=_error_or_none(bias), error_random=_error_or_none(random), control_count=count)
+
+
+def _is_unknown(error: str) -> bool:
+    """Return whether the text of an error says that it is not known."""
+    return error.strip(" \t\r\n\"'").casefold() in _UNKNOWN_ERRORS
 
 
 def _error_or_none(error: float | None) -> float | None:

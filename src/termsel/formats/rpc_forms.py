@@ -41,8 +41,6 @@ _COEFFICIENT_NAME = re.compile("({})({})(?:coeffs?|coefs?)?([0-9]*)".format(*(
     "|".join(sorted(words, key=len, reverse=True)) for words in (_COORDINATES, _NUMBERS))))
 _ERRORS = {"errbias": "ERR_BIAS", "errrand": "ERR_RAND"}
 _IS_RPC = {"LINE_NUM_COEFF", "SAMP_DEN_COEFF"}
-_UNKNOWN_VALUES = ("none", "null", "~", "")
-"""How JSON and YAML state that a value is not known, as Orthority does of errors."""
 
 
 def rpcs_of_tree(tree: object) -> dict[str, Items]:
@@ -201,13 +199,14 @@ def _items_by_gdal_name(values: Mapping[str, Any]) -> Items:
     """Return the numbers of an RPC by GDAL's names, in whatever spelling they come.
 
     Names are compared by their letters alone. Coefficients come as a list, as a text, or numbered
-    one by one, which are joined in their order; errors that a file states as unknown are left out.
+    one by one, which are joined in their order.
     """
     items: Items = {}
     for key, value in values.items():
         # "lineNumCoef", "LINE_NUM_COEFF" and "line num coeff" have the same letters.
         letters = re.sub(r"[^a-z0-9]", "", str(key).lower())
-        if letters in _ERRORS and str(value).lower() not in _UNKNOWN_VALUES:
+        # In YAML a key without a value seems to begin a block.
+        if letters in _ERRORS and not isinstance(value, dict):
             items[_ERRORS[letters]] = str(value)
         match = _COEFFICIENT_NAME.fullmatch(letters)
         if match is None:
