@@ -473,3 +473,24 @@ def test_a_projection_is_not_taken_where_a_similarity_fits_as_well_by_chance() -
     assert choice is not None
     assert choice.method.name == "similarity"
     assert "projective is not taken: it would fit points of a similarity as well" in choice.reason
+
+
+@pytest.mark.parametrize("seed", [1, 12, 36])
+def test_a_projection_that_no_chance_explains_is_taken_though_four_points_hardly_predict(
+        seed: int) -> None:
+    """A photo from far above, tilted, of five points whose heights hardly move them."""
+    rng = np.random.default_rng(seed)
+    corners = np.array([[1100.0, 2050.0], [2700.0, 3100.0], [2080.0, 150.0], [1090.0, 4050.0],
+                        [980.0, 200.0]]) + rng.uniform(-150.0, 150.0, (5, 2))
+    tilt, focal, height = np.radians(20.0), 9000.0, 400e3
+    camera_x, camera_y = (corners[:, 1] - 2100.0) / focal, (1500.0 - corners[:, 0]) / focal
+    forward = np.sin(tilt) + camera_y * np.cos(tilt)
+    down = np.cos(tilt) - camera_y * np.sin(tilt)
+    ground = np.column_stack([5e5 + height * camera_x / down, 5e6 + height * forward / down,
+                              rng.uniform(300.0, 1500.0, 5)])
+    features = FeatureSet(Points(tuple("ABCDE"), corners + rng.normal(0.0, 2.0, (5, 2)), ground),
+                          crs="EPSG:32632")
+    choice = Auto().choose(FitData.of(features))
+    assert choice is not None
+    assert choice.method.name == "projective"
+    assert "projective would fit points of it as well in" in choice.reason

@@ -14,7 +14,7 @@ import numpy as np
 
 from termsel.adjustment.bayesian.field import SPLINE_MAX_POINTS
 from termsel.adjustment.equations import weights_of
-from termsel.core.errors import rounded_size_text
+from termsel.core.errors import percent_text, rounded_size_text
 from termsel.data.coordinates.clusters import cluster_labels
 from termsel.data.coordinates.metres import plan_of
 from termsel.data.coordinates.places import MIN_LATTICE_LINES as FEWEST_LINES
@@ -331,8 +331,9 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
             explained: bool = True) -> Choice | None:
     """Return the choice among the fits of methods; None if there are none.
 
-    Where no method has a prior, the smallest RMSE decides. Else one of the fits with a prior is the
-    fit to beat (see `fit_to_beat`). Any method that no prior contains must be better than that by
+    Where no method has a prior, the smallest RMSE decides, or how well a projection fits (see
+    `_choice_without_prior`). Else one of the fits with a prior is the fit to beat (see
+    `fit_to_beat`). Any method that no prior contains must be better than that by
     so many standard errors: CLEAR_MARGIN; for a central projection PROJECTION_MARGIN, or
     PRIOR_MARGIN where the points support an oblique or near camera. A supported projection may
     instead have a far smaller RMSE (see `is_supported_and_smaller`), and a similarity of few points
@@ -347,7 +348,7 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
     if not compared:
         return None
     if not priors:
-        return Choice(min(compared, key=beyond_rounding), compared, SMALLEST_RMSE_REASON)
+        return _choice_without_prior(compared)
     base, reasons = fit_to_beat(priors)
     alternatives = [fitted for fitted in compared if not (
         method_of(fitted).has_prior or is_contained(method_of(fitted), priors))]
@@ -373,6 +374,30 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
     reasons = [*filter(None, descriptions), *reasons]
     return Choice(chosen, compared,
                   _reason_for_choice(chosen, base, reasons, alternatives, compared))
+
+
+def _choice_without_prior(compared: tuple[Fit, ...]) -> Choice:
+    """Return the choice among fits without a prior: of five points with heights, for example.
+
+    It is the fit with the smallest RMSE of held-out features. Four of five points determine a
+    projection without redundancy, so that it may predict the fifth badly though it is the view of
+    the image. It is chosen all the same if points of the simpler model with the smallest RMSE would
+    be fitted as well by chance in at most CHANCE_OF_SIMILARITY of cases.
+    """
+    smallest = min(compared, key=beyond_rounding)
+    if method_of(smallest).central:
+        return Choice(smallest, compared, SMALLEST_RMSE_REASON)
+    for projection in compared:
+        if not method_of(projection).central:
+            continue
+        chance = _chance_if_true(smallest, projection)
+        if chance is not None and chance <= CHANCE_OF_SIMILARITY:
+            return Choice(
+                projection, compared,
+                f"{method_of(smallest).label} has the smallest leave-one-out RMSE, but "
+                f"{method_of(projection).label} would fit points of it as well in "
+                f"{percent_text(chance)} of cases.")
+    return Choice(smallest, compared, SMALLEST_RMSE_REASON)
 
 
 def fit_to_beat(priors: Sequence[Fit]) -> tuple[Fit, list[str]]:
@@ -454,13 +479,22 @@ def chance_of_similarity(fitted: Fit, compared: Iterable[Fit]) -> float:
                     if method_of(other).for_few and other.effective < UNKNOWNS_OF_AFFINE]
     if not (method_of(fitted).central and similarities) or len(fitted.control.lines):
         return 0.0
-    simplest = min(similarities, key=_squares_left)
-    freedom = fitted.adjustment.n_equations - fitted.effective
-    further_unknowns = fitted.effective - simplest.effective
+    chance = _chance_if_true(min(similarities, key=_squares_left), fitted)
+    return 0.0 if chance is None else chance
+
+
+def _chance_if_true(simpler: Fit, wider: Fit) -> float | None:
+    """Return how likely `wider` fits points as well as it does if the simpler model is true.
+
+    It is the F test of both sums of squared residuals. Returns None if `wider` has no redundancy,
+    or no more unknowns than the simpler model.
+    """
+    freedom = wider.adjustment.n_equations - wider.effective
+    further_unknowns = wider.effective - simpler.effective
     if freedom <= 0.0 or further_unknowns <= 0.0:
-        return 0.0
+        return None
     # Nested models: what the further unknowns take of the squares is compared with what is left.
-    share = _squares_left(fitted) / _squares_left(simplest)
+    share = _squares_left(wider) / _squares_left(simpler)
     return chance_of_better_fit(share, freedom, further_unknowns)
 
 
