@@ -14,8 +14,8 @@ try:
         end_at_once,
         end_program,
         leave,
+        repeat_interrupts,
         take_pending_interrupt,
-        watch,
     )
 except KeyboardInterrupt:
     raise SystemExit(130) from None  # as later, but without the words
@@ -147,7 +147,7 @@ def main() -> None:
     end_at_once()
     sys.excepthook = report_fault
     try:
-        watch()
+        repeat_interrupts()
         prepare_process()
         from termsel.cli.main import cli
 

@@ -278,22 +278,23 @@ class Axis:
 
         For one call only, as the steps are used up. Raises Refused, with the axis, for a step that
         does not hold (with its number), and for a tree that ends too early or goes on after all is
-        decided or left open.
+        decided or left open. What a malformed step raises (ValueError, TypeError) passes.
         """
-        counts = [0, 0, 0]
+        counts = [0, 0]  # selections decided, and left open
         # A stack instead of recursion; the first child is on top, as in the order of the steps.
         todo = [self.root()]
-        while todo:
-            counts[2] += 1
+        n_steps = 0
+        for n_steps, step in enumerate(self.nodes, 1):
+            if not todo:
+                raise Refused(f"axis {self.name}: the tree goes on after all is decided")
             try:
-                todo += reversed(self._check_step(todo.pop(), counts, *next(self.nodes)))
-            except StopIteration:
-                raise Refused(f"axis {self.name}: the tree ends before step {counts[2]}") from None
+                children = self._check_step(todo.pop(), counts, *step)
             except Refused as error:
-                raise Refused(f"axis {self.name}, step {counts[2]}: {error}") from None
-        if next(self.nodes, None) is not None:
-            raise Refused(f"axis {self.name}: the tree goes on after all is decided")
-        return counts[0], counts[1], counts[2]
+                raise Refused(f"axis {self.name}, step {n_steps}: {error}") from None
+            todo += reversed(children)
+        if todo:
+            raise Refused(f"axis {self.name}: the tree ends before step {n_steps + 1}")
+        return counts[0], counts[1], n_steps
 
     def _check_step(self, node: Node, counts: list[int], step: Any, *values: Any) -> list[Node]:
         """Check one step, count the selections that it decides, and return the remaining nodes.

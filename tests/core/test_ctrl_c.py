@@ -27,9 +27,9 @@ RESTORED = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
 SWALLOWS = """
 import os, signal, time
 from contextlib import suppress
-from termsel.core.interrupts import answered, watch
+from termsel.core.interrupts import repeat_interrupts, take_pending_interrupt
 
-watch()
+repeat_interrupts()
 with suppress(KeyboardInterrupt):
     os.kill(os.getpid(), signal.SIGINT)
     time.sleep(5)
@@ -37,7 +37,7 @@ try:
     time.sleep(10)
     print("slept")
 except KeyboardInterrupt:
-    print("again", answered(), answered())
+    print("again", take_pending_interrupt(), take_pending_interrupt())
 time.sleep(1.5)
 print("quiet")
 """
@@ -63,14 +63,14 @@ main()
 
 UNRAISABLE = """
 import os, signal, sys, time
-from termsel.core.interrupts import watch
+from termsel.core.interrupts import repeat_interrupts
 
 class Cleans:
     def __del__(self):
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(0.1)
 
-watch()
+repeat_interrupts()
 try:
     Cleans()
     time.sleep(10)

@@ -21,7 +21,7 @@ from termsel_studies.groups import Groups, Runs, group
 from termsel_studies.ioh import INFEASIBLE_VALUE, ioh_files
 from termsel_studies.ioh import write as write_ioh
 from termsel_studies.pages import study_as_latex, study_as_markdown, tables_of
-from termsel_studies.report import write as write_report
+from termsel_studies.report import write_tables_and_charts as write_report
 from termsel_studies.significance import (
     compare_methods,
     critical_difference,

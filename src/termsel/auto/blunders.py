@@ -515,11 +515,11 @@ def _agreeing_core(control: FitData, test_of_all: TestOfAll,
 
     Of points, those with the largest strain are set aside in steps, and the others tested again
     after each, until MAX_BLUNDER_SHARE of all is gone or the others are too few for a test. With
-    lines, which are many, those of `_features_with_weight` agree, found at once.
+    lines, which are many, those of `_agreeing_with_robust_fit` agree, found at once.
     """
     used = np.ones(len(control), dtype=bool)
     if len(control.features.lines):
-        used = _features_with_weight(control, test_of_all)
+        used = _agreeing_with_robust_fit(control, test_of_all)
         test = Division(control, used).shrunken_test() or test_of_all()
         return None if test is None else (used, test)
     test = test_of_all()
@@ -542,22 +542,22 @@ def _agreeing_core(control: FitData, test_of_all: TestOfAll,
     return used, test
 
 
-def _features_with_weight(control: FitData, test_of_all: TestOfAll) -> BoolArray:
-    """Return which features, a mask (n,), have weight under a robust quadratic polynomial.
+def _agreeing_with_robust_fit(control: FitData, test_of_all: TestOfAll) -> BoolArray:
+    """Return which features, a mask (n,), a robust quadratic polynomial keeps.
 
-    If it cannot be fitted, or more than MAX_BLUNDER_SHARE have no weight, that share with the
-    largest strain in the test of all is left out instead; none is if there is no such test either.
+    Where it cannot be fitted, or rejects more than MAX_BLUNDER_SHARE of them, that share with the
+    largest strain in the test of all is left out instead; all are kept if there is no such test.
     """
-    # A robust fit fails if it finds more blunders than there may be: then the worst are taken.
-    weightless = _weightless(control)
+    is_rejected = _weightless(control)
     max_blunders = int(MAX_BLUNDER_SHARE * len(control))
-    if weightless is not None and weightless.sum() <= max_blunders:
-        return ~weightless
-    used = np.ones(len(control), dtype=bool)
+    if is_rejected is not None and is_rejected.sum() <= max_blunders:
+        return ~is_rejected
+    # A robust fit fails if it finds more blunders than there may be: then the worst are taken.
+    is_kept = np.ones(len(control), dtype=bool)
     test = test_of_all()
     if test is not None:
-        used[np.argsort(-test.strain, kind="stable")[:max_blunders]] = False
-    return used
+        is_kept[np.argsort(-test.strain, kind="stable")[:max_blunders]] = False
+    return is_kept
 
 
 def _weightless(control: FitData) -> BoolArray | None:

@@ -65,16 +65,17 @@ def as_far_as_determined(auto: Auto, data: FitData) -> tuple[Auto, str]:
     """Return the choice of a named model with its degree as high as features allow, and a note.
 
     That is the highest at which each feature is predicted by the others, else the highest that the
-    features determine at all, else the lowest. The note says that it was lowered; it is ""
-    otherwise. A model that a built-in method fits goes by the name of that method.
+    features determine at all, else the lowest. Only a model whose degree the user left open is
+    lowered; the note says so, and is "" otherwise. A model that a built-in method fits goes by the
+    name of that method. A choice among several methods is returned as it is.
     """
     named = auto.methods[0]
     if not (auto.is_one_method and isinstance(named, NamedModel)):
         return auto, ""
-    models = list(named.lowered())
-    chosen = (next((model for model in models if auto.validated(model, data) is not None), None)
-              or next((model for model in models if unjudged_fit(data, model) is not None), None)
-              or models[-1])
+    lowered = list(named.lowered())
+    chosen = (next((method for method in lowered if auto.validated(method, data) is not None), None)
+              or next((method for method in lowered if unjudged_fit(data, method) is not None),
+              None) or lowered[-1])
     note = "" if chosen is named else _note_on_size(chosen, named, data)
     return replace(auto, methods=(_built_in(chosen, data),)), note
 

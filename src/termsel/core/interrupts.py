@@ -55,10 +55,10 @@ def end_program() -> NoReturn:
     os._exit(INTERRUPTED)
 
 
-def watch() -> None:
-    """From now on raise KeyboardInterrupt at Ctrl-C and, but for Windows, again until it is taken.
+def repeat_interrupts() -> None:
+    """From now on raise KeyboardInterrupt at Ctrl-C and, but for Windows, each second until taken.
 
-    `take_pending_interrupt` takes it. For programs, not for libraries: it sets the handlers of
+    `take_pending_interrupt` takes it. For programs, not for libraries: this sets the handlers of
     SIGINT and SIGALRM, and `sys.unraisablehook`, which no longer prints interrupts. Nothing is
     changed where Ctrl-C is ignored, as by nohup, or has a handler of somebody else.
     """

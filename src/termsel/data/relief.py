@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from itertools import product
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -36,27 +36,29 @@ class Relief(Protocol):
 
 @dataclass(frozen=True)
 class _Sampled:
-    """A function of heights, asked at places that are spread over a box: corners (n, 2)."""
+    """A function of heights, asked at places that are spread over the box around `corners` (n, 2).
+    """
 
     surface: Surface
     corners: FloatArray
 
-    @cached_property
-    def _sides(self) -> tuple[FloatArray, FloatArray]:
-        """Places along both sides of the box."""
-        low = self.corners.min(axis=0)
-        high = self.corners.max(axis=0)
-        return (np.linspace(low[0], high[0], _SAMPLED), np.linspace(low[1], high[1], _SAMPLED))
-
-    def highest(self) -> float:
-        """Return the greatest height that is found; minus infinity where there is none."""
-        grid = np.stack(np.meshgrid(*self._sides), axis=-1).reshape(-1, 2)
+    def highest(self, corners: FloatArray) -> float:
+        """Return the greatest height found in the box around `corners`; minus infinity if none is.
+        """
+        grid = np.stack(np.meshgrid(*_sides_of(corners)), axis=-1).reshape(-1, 2)
         heights = self.surface(grid)
         return float(np.max(heights, initial=-np.inf, where=np.isfinite(heights)))
 
     def spacing(self) -> float:
         """Return the lesser distance of neighbouring places."""
-        return float(min(side[1] - side[0] for side in self._sides))
+        return float(min(side[1] - side[0] for side in _sides_of(self.corners)))
+
+
+def _sides_of(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return x and y of places along both sides of the box around `corners`, (_SAMPLED,) each."""
+    low = corners.min(axis=0)
+    high = corners.max(axis=0)
+    return np.linspace(low[0], high[0], _SAMPLED), np.linspace(low[1], high[1], _SAMPLED)
 
 
 def unmasked(surface: Surface) -> Surface:
@@ -69,7 +71,7 @@ def unmasked(surface: Surface) -> Surface:
 def visible_ground(project: Projection, holds: Callable[[FloatArray], BoolArray],
                    image: FloatArray, ground: FloatArray, surface: Surface,
                    box: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """Return ground places (n, 3), each hidden one replaced by the place that hides it.
+    """Return ground places (n, 3), each hidden one replaced by the place that hides it from view.
 
     A ray may meet a surface more than once; the camera sees the first place. A hidden one stays
     where the model does not hold at the place that hides it. How many are replaced is logged.
@@ -94,26 +96,25 @@ def visible_ground(project: Projection, holds: Callable[[FloatArray], BoolArray]
     Returns
     -------
     ndarray, shape (n, 3)
-        NaN stays. The same array is returned if no place is known, or no height of the surface.
+        Rows with NaN stay so. `ground` itself, no copy, is returned if it has no known place or the
+        surface no known height.
     """
     known_places = ground[np.isfinite(ground).all(axis=1), :2]
     if not len(known_places):
         return ground
-    # What hides a place may be outside the control: within the known places and the control, and as
-    # far again on each side.
+    # What hides a place may lie outside the known places and the control. The box around both is
+    # enlarged by its own size on each side.
     centre, scale = box
     extent = np.vstack([known_places, centre[:2] - scale[:2], centre[:2] + scale[:2]])
     low, high = extent.min(axis=0), extent.max(axis=0)
-    corners = np.array([[x, y] for x in (2 * low[0] - high[0], 2 * high[0] - low[0])
-                        for y in (2 * low[1] - high[1], 2 * high[1] - low[1])])
-    if isinstance(surface, Relief):
-        highest, spacing = surface.highest(corners), surface.spacing()
-    else:
-        sampled = _Sampled(surface, corners)
-        highest, spacing = sampled.highest(), sampled.spacing()
+    size = high - low
+    x, y = np.stack([low - size, high + size]).T
+    corners = np.array(list(product(x, y)))
+    relief = surface if isinstance(surface, Relief) else _Sampled(surface, corners)
+    highest = relief.highest(corners)
     if not np.isfinite(highest):
         return ground
-    visible = visible_places(project, image, ground, surface, highest, spacing, scale)
+    visible = visible_places(project, image, ground, surface, highest, relief.spacing(), scale)
     moved = np.flatnonzero((visible != ground).any(axis=1) & np.isfinite(ground[:, 0]))
     moved = moved[holds(visible[moved])]
     ground = ground.copy()

@@ -851,13 +851,17 @@ class Fit(Glance):
         """Return the RMSE of the control features in use; None if there are none."""
         return rmse_of(self.control_errors(self.used), int(self.used.sum()))
 
-    def control_errors(self, features: BoolArray) -> FloatArray:
-        """Return the errors (m, 2) [px] of some control features: points, then line vertices."""
-        selected = self.control.take(features)
+    def control_errors(self, which: BoolArray) -> FloatArray:
+        """Return errors (m, 2) [px] of control: a row for each point, then one for each vertex.
+
+        `which` is a mask (n,) of the control features, points first. An error is as `errors` and
+        `line_errors` give it: a line has two rows, and several pieces of one feature two each.
+        """
+        selected = self.control.take(which)
         errors = [self.errors(selected.points)]
         if len(selected.lines):
             # Which lines belong to selected features: several may be pieces of one.
-            selected_lines = features[len(self.control.points):][self.control.lines.feature]
+            selected_lines = which[len(self.control.points):][self.control.lines.feature]
             errors.append(self.line_errors()[selected_lines].reshape(-1, 2))
         return np.concatenate(errors)
 

@@ -8,6 +8,7 @@ model's own.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -126,7 +127,7 @@ class MapPositions:
         They are computed at nodes, every `step` pixels, at each of the `levels` of height, and
         interpolated at the `heights` (lines, samples) of the pixels.
         """
-        nodes, size = _node_positions(shape, step)
+        nodes, size = _grid_over_tile(shape, step)
         plan = self._ground_of_pixels(nodes, transform)
         # Heights move positions by more than a line: each node is projected at every level.
         at_levels = np.stack(
@@ -223,7 +224,7 @@ class MapPositions:
         surface = self.surface
         if not isinstance(surface, Dem):
             return np.full(shape, float(surface))
-        nodes, size = _node_positions(shape, COARSEST)
+        nodes, size = _grid_over_tile(shape, COARSEST)
         ground = self._ground_of_pixels(nodes, transform)
         x, y = surface.to_raster.transform(*ground.T)
         if surface.turns:
@@ -258,18 +259,19 @@ class MapPositions:
         return surface(self._ground_of_pixels(pixels, transform)).reshape(shape)
 
 
-def _node_positions(shape: tuple[int, int], step: int) -> tuple[FloatArray, tuple[int, int]]:
-    """Return nodes (n, 2) over a tile, row by row, and how many lie along lines and samples.
+def _grid_over_tile(shape: tuple[int, int], step: int) -> tuple[FloatArray, tuple[int, int]]:
+    """Return the nodes (n, 2) of a grid over a tile, and its size: nodes along lines and samples.
 
-    `shape` is that of the tile [px]. A node is at the centre of the first pixel and at every `step`
-    pixels from there, to the centre of the last pixel or beyond, and at least two each way. They
-    are in lines and samples counted from the tile's outer corner.
+    `shape` is the tile's lines and samples. A node is at the centre of the first pixel and at every
+    `step` pixels from there, to the centre of the last pixel or beyond, and at least two each way,
+    so that each pixel is between nodes. Nodes are lines and samples [px] from the tile's outer
+    corner, row by row.
     """
-    # The number of steps is rounded up; the centre of a pixel is half a pixel from its corner.
-    size = tuple(max(-(-(count - 1) // step), 1) + 1 for count in shape)
-    lines, samples = np.indices(size)
-    nodes = np.column_stack([lines.ravel(), samples.ravel()]) * float(step) + 0.5
-    return nodes, (size[0], size[1])
+    n_lines, n_samples = (max(math.ceil((count - 1) / step), 1) + 1 for count in shape)
+    lines, samples = np.indices((n_lines, n_samples))
+    # The centre of a pixel is half a pixel from its corner.
+    nodes = np.float64(step) * np.column_stack([lines.ravel(), samples.ravel()]) + 0.5
+    return nodes, (n_lines, n_samples)
 
 
 def _raster_part_around(

@@ -652,28 +652,31 @@ def _require_same(files: Files, before: Files | None, folder: Path) -> None:
 
 
 def records_of(features: FeatureSet) -> list[Record]:
-    """Return features as records, points first.
+    """Return features as records: each point, then each piece of each line.
 
-    Of several lines with one id, the second gets the id ID.2, the third ID.3 and so on; numbers
-    that make the id of another feature are passed over.
+    A record has id, kind, role, image and ground, with None for an unknown height. Of several
+    pieces with one id, the second gets the id ID.2, the third ID.3 and so on; numbers that make the
+    id of another feature are passed over. Raises TermselError for what a record cannot hold (see
+    `checked_record`).
     """
     points = features.points
+    lines = features.lines
     records = [{"id": name, "kind": "point", "role": role, "image": image,
                 "ground": _with_none(ground)}
                for name, role, image, ground in zip(points.ids, points.roles, points.image.tolist(),
                                                     points.ground.tolist(), strict=True)]
-    # On the page each line is measured by itself, so each has an id of its own.
-    taken = {*points.ids, *features.lines.ids}
-    used_names = set[str]()
-    for name, image, ground in zip(features.lines.ids, features.lines.image.tolist(),
-                                   features.lines.ground.tolist(), strict=True):
-        label = name
-        if name in used_names:
-            label = next(one for one in (f"{name}.{number}" for number in count(2))
-                         if one not in taken)
-            taken.add(label)
-        used_names.add(name)
-        records.append({"id": label, "kind": "line", "role": "", "image": image,
+    # On the page each piece is measured by itself, so each has an id of its own.
+    taken = {*points.ids, *lines.ids}
+    ids_in_records = set[str]()
+    for name, image, ground in zip(lines.ids, lines.image.tolist(), lines.ground.tolist(),
+                                   strict=True):
+        own_id = name
+        if name in ids_in_records:
+            own_id = next(candidate for candidate in (f"{name}.{number}" for number in count(2))
+                          if candidate not in taken)
+            taken.add(own_id)
+        ids_in_records.add(name)
+        records.append({"id": own_id, "kind": "line", "role": "", "image": image,
                         "ground": [_with_none(vertex) for vertex in ground]})
     return [checked_record(record) for record in records]
 

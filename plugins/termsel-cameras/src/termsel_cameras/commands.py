@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -106,12 +106,39 @@ _MAX_LISTED = 3
 
 def _choose_projection(sheets: list[FeatureSet], candidates: Path | None,
                        century: int | None) -> tuple[str, str]:
-    """Print how well each projection predicts the sheets, and return the CRS of the chosen one.
+    """Choose the projection of sheets, print the ranking and the choice, and return two texts.
 
-    With it returns the name of a projection that is no candidate and by which the sheets contradict
-    all of them, "" where there is none. `candidates` is a file of projections to choose from, and
-    `century` that of the map, if they are given. Raises TermselError if no sheet has enough points,
-    or none determines a model.
+    These are the CRS of the chosen projection, and the name of a usual projection that is no
+    candidate and far more probable than all of them, "" if there is none. `candidates` is a file of
+    projections to choose from, and `century` that of the map, if they are given. Raises
+    TermselError if no sheet has enough points, or none determines a model.
+    """
+    ranking = _rank_projections(sheets, candidates, century)
+    _print_projections(ranking)
+    _print_choice(ranking, len(sheets), "--century" if candidates is None else "--candidates")
+    return ranking.best.crs, "" if ranking.better is None else ranking.better.name
+
+
+@dataclass(frozen=True)
+class _Ranking:
+    """Projections that were tried: candidates, the most probable first, and the one chosen.
+
+    Those of `as_probable`, with the chosen one, cannot be told apart. `better` is a usual
+    projection that is no candidate and contradicts all of them, if there is one.
+    """
+
+    ranked: Sequence[Tried]
+    best: Tried
+    as_probable: Sequence[Tried]
+    better: Tried | None = None
+
+
+def _rank_projections(sheets: list[FeatureSet], candidates: Path | None,
+                      century: int | None) -> _Ranking:
+    """Return the ranking of the candidates (see `_choose_projection` for arguments and errors).
+
+    It is by the paper that the sheets share, or if too few of them show it, by each for itself;
+    then no other projection is compared.
     """
     from termsel_cameras.sheets.candidates import candidates_of
     from termsel_cameras.sheets.choosing import (
@@ -125,43 +152,50 @@ def _choose_projection(sheets: list[FeatureSet], candidates: Path | None,
     stated = {projection.crs for projection in projections}
     # What no candidate is, is ranked as well: it may be far more probable than all of them.
     others = [usual for usual in candidates_of(sheets, None, None) if usual.crs not in stated]
-    better = None
-    # Sheets that share their paper tell more than each by itself, if there are enough of them.
     # One ranking of all, as blunders, and so the points that count, depend on what is ranked.
-    if with_others := rank_by_series(sheets, [*projections, *others]):
-        better = contradicting(with_others, projections)
-        ranked = [projection for projection in with_others if projection.crs in stated]
-        as_probable = as_probable_as_the_best(ranked, projections)
-        best = as_probable[0]
-    else:
+    with_others = rank_by_series(sheets, [*projections, *others])
+    if not with_others:
         choice = choose_by_points(sheets, projections)
-        ranked, best, as_probable = list(choice.ranked), choice.chosen, list(choice.as_probable)
-    _print_projections(ranked, best)
-    echo(f"\nChosen for {count_in_words(len(sheets), 'sheet')}: {best.name}. "
+        return _Ranking(choice.ranked, choice.chosen, choice.as_probable)
+    ranked = [projection for projection in with_others if projection.crs in stated]
+    as_probable = as_probable_as_the_best(ranked, projections)
+    return _Ranking(ranked, as_probable[0], as_probable, contradicting(with_others, projections))
+
+
+def _print_choice(ranking: _Ranking, n_sheets: int, restriction: str) -> None:
+    """Print the chosen projection and what is uncertain about it.
+
+    `restriction` is the option that says which projections are candidates.
+    """
+    best = ranking.best
+    echo(f"\nChosen for {count_in_words(n_sheets, 'sheet')}: {best.name}. "
          f"--set projection='{best.crs}'")
-    as_good = [projection.name for projection in as_probable if projection is not best]
+    as_good = [projection.name for projection in ranking.as_probable if projection is not best]
     if as_good:
         echo(f"The sheets do not show whether it is this one or another: {', '.join(as_good)}. If "
              "the map names its projection, state that in a file of --candidates.")
-    if better is not None:
-        restriction = "--century" if candidates is None else "--candidates"
+    if ranking.better is not None:
+        better = ranking.better
         echo(f"Caution: the sheets contradict the projections of {restriction}: in another one, "
              f"{better.name}, they are far more probable, and predicted within {_figure(better)} "
              f"px. Borrowing in {best.name} would make sheets of few points worse, so --set series "
              f"will lend nothing. Leave {restriction} out, or give the projection of the map.")
-    if len(sheets) == 1:
+    if n_sheets == 1:
         echo("One sheet is no series, and its points show little of a projection. Give all "
              "sheets, or take the projection that the map names.")
-    return best.crs, "" if better is None else better.name
 
 
-def _print_projections(ranked: Sequence[Tried], best: Tried) -> None:
-    """Print a table of projections, those of the same figure up to a few of them."""
-    rows = [(projection.name, _figure(projection), projection.crs) for projection in ranked]
+def _print_projections(ranking: _Ranking) -> None:
+    """Print a table of projections, the most probable first.
+
+    Of neighbours with the same figure at most `_MAX_LISTED` are listed, the chosen one first.
+    """
+    rows = [(projection.name, _figure(projection), projection.crs)
+            for projection in ranking.ranked]
     listed: list[tuple[str, str, str]] = []
     for figure, group in groupby(rows, key=lambda row: row[1]):
         # The chosen one comes first, so that it is always listed.
-        equal_rows = sorted(group, key=lambda row: row[0] != best.name)
+        equal_rows = sorted(group, key=lambda row: row[0] != ranking.best.name)
         listed += equal_rows[:_MAX_LISTED]
         if len(equal_rows) > _MAX_LISTED:
             listed.append((f"{len(equal_rows) - _MAX_LISTED} more", figure, ""))

@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 REPORT = "report.html"
 
 FILES = ("summary.md", "summary.tex", REPORT, "figures")
-"""Files and folders that `write` writes."""
+"""Files and folders that `write_tables_and_charts` writes."""
 
 _LEGEND_OF_THUMBNAILS = ("Arrows are the residuals of all features: blue at control points, orange "
           "at selection points, black (white on a dark page) at independent check points. Red "
@@ -132,13 +132,14 @@ def residual_thumbnails(study: Study) -> dict[str, str]:
     return drawings
 
 
-def write(study: Study, folder: Path) -> list[Path]:
+def write_tables_and_charts(study: Study, folder: Path) -> list[Path]:
     """Write the tables and charts of a study into a folder; return the files that were written.
 
     summary.md and summary.tex have the tables. report.html, a page of tables and charts, and the
     charts in figures/ are written only if altair and vl-convert are installed. A page or chart that
     cannot be drawn is left out with a warning. Charts in figures/ that were not written now are
-    removed, whatever the reason; a report.html that is not written now stays as it was.
+    removed, whatever the reason; a report.html that is not written now stays as it was. Raises
+    TermselError if a table cannot be written.
     """
     written = []
     for name, text in {"summary.md": study_as_markdown(study),
@@ -146,27 +147,40 @@ def write(study: Study, folder: Path) -> list[Path]:
         write_text(folder / name, text)
         written.append(folder / name)
     # Charts are drawn by altair, and turned into files by vl-convert.
-    can_draw = find_spec("altair") and find_spec("vl_convert")
-    charts = figures_of(study) if can_draw else []
-    if can_draw:
-        try:
-            write_text(folder / REPORT, report(study, charts))
-            written.append(folder / REPORT)
-        except (TermselError, MemoryError) as error:
-            why = error.what if isinstance(error, TermselError) else "out of memory"
-            log.warning("Warning: %s is missing: %s.", folder / REPORT, why.rstrip("."))
-    for figure in charts:
-        path = folder / "figures" / f"{figure.name}.svg"
-        path.parent.mkdir(exist_ok=True)
-        try:
-            save(with_theme(figure.chart, figure.title, figure.look), path)
-        except TermselError as error:
-            log.warning("%s", error)
-            continue
-        written.append(path)
+    if find_spec("altair") and find_spec("vl_convert"):
+        charts = figures_of(study)
+        written += [*_write_page(study, charts, folder), *_write_charts(charts, folder / "figures")]
     # A study that went on may have other charts than when it was written last.
     for name in CHARTS:
         path = folder / "figures" / f"{name}.svg"
         if path not in written:
             path.unlink(missing_ok=True)
+    return written
+
+
+def _write_page(study: Study, charts: list[Figure], folder: Path) -> list[Path]:
+    """Write report.html into a folder and return its path, alone; none, and a warning, without it.
+    """
+    path = folder / REPORT
+    try:
+        write_text(path, report(study, charts))
+    except (TermselError, MemoryError) as error:
+        why = error.what if isinstance(error, TermselError) else "out of memory"
+        log.warning("Warning: %s is missing: %s.", path, why.rstrip("."))
+        return []
+    return [path]
+
+
+def _write_charts(charts: list[Figure], folder: Path) -> list[Path]:
+    """Write charts into a folder and return the files; one that cannot be drawn is a warning."""
+    written = []
+    for figure in charts:
+        path = folder / f"{figure.name}.svg"
+        folder.mkdir(exist_ok=True)
+        try:
+            save(with_theme(figure.chart, figure.title, figure.look), path)
+        except TermselError as error:
+            log.warning("%s", error)
+        else:
+            written.append(path)
     return written

@@ -85,7 +85,12 @@ class QgisPointsWriter(SelectionWriter):
     suffix = ".points"
 
     def write(self, result: Result, path: Path) -> None:
-        """Write a .points file; dX, dY are computed minus measured, right and down, as in QGIS."""
+        """Write a .points file; dX, dY are computed minus measured, right and down, as in QGIS.
+
+        A residual that is not known is written as 0, as each column of the format has a number.
+        Logs the nearest transformation that QGIS has. Raises TermselError if the result is none
+        that the format can hold, or the file cannot be written.
+        """
         _require_accepted(self, result, path, _NO_POINTS)
         points = result.features.points
         rows = []

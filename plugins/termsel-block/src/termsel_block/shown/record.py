@@ -130,29 +130,41 @@ def block_schema() -> dict[str, Any]:
 def record_of(result: BlockResult) -> BlockRecord:
     """Return the record of a block: images, ties, blunders, figures and notes, as in block.json.
 
-    `independent` is None without independent points that two images see.
+    `independent` is None without independent points that two images see, and `sigma_places` NaN
+    without ties that two images see.
     """
     block = result.block
+    ties = block.ties
     adjusted = result.adjusted
     images = [_image_record(result, i) for i in range(len(block.images))]
-    space = errors_in_space(result)
-    joined_images = connected_images(block.ties.tie, block.ties.image, len(block.images))
+    parts = []
+    for indices in connected_images(ties.tie, ties.image, len(block.images)):
+        parts.append([block.images[i].name for i in indices])
     # A tie in a single image has no position of its own.
     east, north, up = np.median(result.sigma_ties[times_seen(result) > 1], axis=0).tolist()
-    parts = []
-    for indices in joined_images:
-        parts.append([block.images[i].name for i in indices])
+    notes = [*block.notes, *doubts_about_block(result), *doubts_about_predictions(images)]
+    space = errors_in_space(result)
+    independent = None
+    if space is not None:
+        independent = SpaceRecord(space.east, space.north, space.up, space.n)
     return BlockRecord(
-        schema=BLOCK_SCHEMA, crs=block.crs, images=images, ties=len(block.ties.names),
-        measurements=len(block.ties.tie), sigma_ties=adjusted.state.sigma_ties,
-        sigma_control=adjusted.state.sigma_control, redundancy=adjusted.freedom,
-        steps=adjusted.steps, converged=adjusted.converged, datum=_datum_in_words(images),
+        schema=BLOCK_SCHEMA,
+        crs=block.crs,
+        images=images,
+        ties=len(ties.names),
+        measurements=len(ties.tie),
+        sigma_ties=adjusted.state.sigma_ties,
+        sigma_control=adjusted.state.sigma_control,
+        redundancy=adjusted.freedom,
+        steps=adjusted.steps,
+        converged=adjusted.converged,
+        datum=_datum_in_words(images),
         parts=parts,
-        sigma_places=(east, north, up), wrong_ties=_rejected_ties(result),
+        sigma_places=(east, north, up),
+        wrong_ties=_rejected_ties(result),
         wrong_control=_rejected_control(result),
-        notes=[*block.notes, *doubts_about_block(result), *doubts_about_predictions(images)],
-        independent=None if space is None else SpaceRecord(
-            space.east, space.north, space.up, space.n))
+        notes=notes,
+        independent=independent)
 
 
 def _advice_on_photos(result: BlockResult) -> str:

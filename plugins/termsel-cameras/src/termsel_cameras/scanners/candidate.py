@@ -62,20 +62,16 @@ class NamedScanner(Method):
     def fit(self, control: FitData) -> Fit:
         """Return the scanner that the points name, fitted to all features.
 
-        Raises Undetermined if they name none.
+        Of a scanner without metadata the points show the direction of flight. Raises Undetermined
+        if they name no sensor, or do not determine the scanner; TermselError for a name that no
+        sensor has and for metadata that cannot be read.
         """
         named = sensor_of(control)
         if not named:
             raise Undetermined("no sensor is named", hint=f"Name it in a column {COLUMN!r}.")
         model = _scanner_of_metadata(named)
-        if not isinstance(model, Scanner):
-            return _with_all_terms(self.estimator, model, control)
-        prepared = model.prepared(control.scaling, control.features.crs)
-        # The satellite flies to the north if latitudes grow with lines.
-        latitude = prepared.geographic(control.scaled.points.ground)[:, 1]
-        line = control.features.points.image[:, 0]
-        covariance = float((latitude - latitude.mean()) @ (line - line.mean()))
-        model = Scanner(sensor=named, track="ascending" if covariance > 0 else "descending")
+        if isinstance(model, Scanner):
+            model = Scanner(sensor=named, track=_track_by_points(model, control))
         return _with_all_terms(self.estimator, model, control)
 
     def model(self, heights: bool) -> SensorModel | None:
@@ -194,6 +190,15 @@ def _scanner_of_metadata(named: str) -> Scanner | TrackedScanner:
     if named.lower().endswith(SUFFIXES):
         return TrackedScanner(metadata=named)
     return Scanner(sensor=named)
+
+
+def _track_by_points(scanner: Scanner, control: FitData) -> str:
+    """Return the direction of flight: ascending if latitudes grow with lines, else descending."""
+    prepared = scanner.prepared(control.scaling, control.features.crs)
+    latitude = prepared.geographic(control.scaled.points.ground)[:, 1]
+    line = control.features.points.image[:, 0]
+    covariance = float((latitude - latitude.mean()) @ (line - line.mean()))
+    return "ascending" if covariance > 0 else "descending"
 
 
 def sensor_of(control: FitData) -> str:

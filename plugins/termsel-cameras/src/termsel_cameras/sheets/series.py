@@ -187,16 +187,16 @@ def posterior_of(paper: Paper, plan: FloatArray, measured: FloatArray,
     """Return the posterior of a sheet by its points and the prior of its paper.
 
     `plan` (n, 2) are x and y from their middle, `measured` (n, 2) samples and minus lines [px]. The
-    noise is `sigma` [px]; if that is None its square is the mean of those of the residuals and of
-    the series, weighted by degrees of freedom.
+    noise is `sigma` [px], if given. Else noise and values are found in turns: the variance is the
+    mean of that of the residuals and that of the series, weighted by their degrees of freedom.
     """
+    prior = np.zeros((UNKNOWNS, UNKNOWNS))
+    prior[:4, :4] = np.diag(1.0 / np.array(paper.spreads) ** 2)
     values = _start(paper, plan, measured)
     noise = paper.noise if sigma is None else sigma
     for _ in range(_NOISE_STEPS if sigma is None else 1):
         values, normal = _most_probable_values(paper, plan, measured, values, noise)
         covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-        prior = np.zeros((UNKNOWNS, UNKNOWNS))
-        prior[:4, :4] = np.diag(1.0 / np.array(paper.spreads) ** 2)
         # The trace of N^-1 A' A, with N = A' A + prior.
         effective = UNKNOWNS - float(np.trace(covariance @ prior))
         if sigma is None:

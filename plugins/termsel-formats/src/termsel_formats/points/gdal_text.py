@@ -79,7 +79,7 @@ class GdalOptions(Reader):
             table.append((line - CORNER, sample - CORNER, x, y,
                           height[0] if height else np.nan))
         # Where a command does not state it, another command on the same points may.
-        stated = _stated_crs(command) or _stated_crs(_join_commands(path))
+        stated = _stated_crs(command) or _stated_crs(_text_with_joined_commands(path))
         return FeatureSet(points_of(path, [""] * len(table), table),
                           crs=stated[0] if len(stated) == 1 else "")
 
@@ -98,13 +98,15 @@ def _stated_crs(text: str) -> list[str]:
     return list(dict.fromkeys(filter(None, stated)))
 
 
-def _join_commands(path: Path) -> str:
+def _text_with_joined_commands(path: Path) -> str:
     """Return the text of a script with each command on one line, and all GCPs in the form of -gcp.
 
     A file that holds rows of four or five numbers alone becomes a line with -gcp for each row.
+    Raises TermselError if the file cannot be read.
     """
     text = read_text(path)
-    # Allmaps writes the numbers alone, which --format gdal-options shows.
+    # Allmaps exports rows of numbers without -gcp. No file is recognised by those: the user has to
+    # say --format gdal-options.
     rows = [line.split() for line in text.splitlines() if line.strip()]
     if rows and all(len(row) in (4, 5) and all(map(is_number, row)) for row in rows):
         return "\n".join(f"-gcp {' '.join(row)}" for row in rows)
@@ -122,7 +124,8 @@ def _commands_by_name(path: Path) -> dict[str, str]:
     lines that call none are added to the command that has their name. Comments are left out.
     Raises TermselError if there is no GCP.
     """
-    lines = [line for line in _join_commands(path).splitlines() if not _COMMENT.match(line)]
+    text = _text_with_joined_commands(path)
+    lines = [line for line in text.splitlines() if not _COMMENT.match(line)]
     if not any(map(_PROGRAM.search, lines)):
         lines = [" ".join(lines)]
     commands: dict[str, str] = {}

@@ -86,18 +86,22 @@ class Keep(Repair):
         return self.variables.like(X, self.variables.genome.repair(genes, self.rng))
 
 
-class _Posed(PymooProblem):
+class _ProblemForPymoo(PymooProblem):
     """A problem for pymoo: genes are the variables, the violation is the only constraint."""
 
     def __init__(self, problem: Problem, **options: Any) -> None:
-        """Declare variables, bounds and objectives; `options` are further ones of pymoo's class."""
+        """Declare variables, bounds, objectives and the constraint G <= 0.
+
+        `options` are further ones of pymoo's class.
+        """
         bits = problem.genome.dtype == np.bool_
         low, high = (0, 1) if bits else _gene_ranges(problem.genome)
         super().__init__(n_var=problem.genome.size, n_obj=len(problem.objectives), n_ieq_constr=1,
                          xl=low, xu=high, vtype=bool if bits else None, **options)
         self.problem = problem
         self.variables = Variables(problem.genome)
-        # Not as an argument: it would make the bounds dicts, which arrays cannot have.
+        # pymoo's own name for named variables. As an argument it would turn the bounds into dicts,
+        # where `xl` and `xu` are arrays.
         self.vars = self.variables.named
 
     def _evaluate(self, X: Any, out: dict[str, Any], *_: Any, **__: Any) -> None:
@@ -178,8 +182,8 @@ def to_pymoo(problem: Problem, *, elementwise_runner: Callable[..., Any] | None 
     ((12,), True)
     """
     if elementwise_runner is None:
-        return _Posed(problem)
-    return _Posed(problem, elementwise=True, elementwise_runner=elementwise_runner)
+        return _ProblemForPymoo(problem)
+    return _ProblemForPymoo(problem, elementwise=True, elementwise_runner=elementwise_runner)
 
 
 class _Horizon(MaximumGenerationTermination):
@@ -205,7 +209,7 @@ class _Tournament:
         return self.compare(pop, P, **arguments)
 
 
-def _begin_algorithm(algorithm: Algorithm, posed: _Posed, rng: np.random.Generator,
+def _begin_algorithm(algorithm: Algorithm, posed: _ProblemForPymoo, rng: np.random.Generator,
                      horizon: int) -> None:
     """Set an algorithm of pymoo up in place, so that its run depends on `rng` alone.
 
@@ -237,7 +241,7 @@ def step_algorithm(algorithm: Algorithm, problem: Problem, rng: np.random.Genera
     length of it; by default those of the usual budget. The chance is what global states give.
     """
     genome = problem.genome
-    pymoo_problem = _Posed(problem)
+    pymoo_problem = _ProblemForPymoo(problem)
     chance = chance or OwnChance(rng)
     # RVEA alone asks how long a run will be.
     expected = horizon or max(EVALUATIONS // (getattr(algorithm, "pop_size", None) or 1), 1)
