@@ -54,8 +54,7 @@ def run(verbose: bool, checkpoint: Path | None, files: tuple[Path, ...], **argum
         require_replaceable(files_of_result(folder), reads=settings.reads, overwrite=True,
                             makes_folder=True)
     # Formats that are not known, and files that may not be replaced, are refused now, too.
-    export_files = settings.export_files()
-    page = settings.report_file()
+    export_files, page = settings.further_files()
     features, options = settings.read()
     title = settings.problem or settings.solver or settings.method or "auto"
     with search_bar(title, settings.quiet) as observe:

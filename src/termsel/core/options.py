@@ -128,18 +128,18 @@ class Option:
             return "not from files"
         return f"from files only {' | '.join(self.from_files)}"
 
-    def _require_from_file(self, value: Any) -> None:
-        """Refuse a value that the file whose options are being resolved may not give.
+    def _require_from_file(self, value: Any, file: str) -> None:
+        """Raise TermselError for a value that `file`, whose options are resolved, may not give.
 
-        A file may give the default of any option. Outside `options_of_file` nothing is refused.
+        A file may give the default of any option.
         """
         allowed = self.from_files
         is_listed = isinstance(allowed, tuple) and str(value) in allowed
-        if not _file.get() or allowed is True or value == self.default or is_listed:
+        if allowed is True or value == self.default or is_listed:
             return
         values = f" but to {', '.join(allowed)}" if allowed else ""
         raise TermselError(
-            f"a file may not set the option {self.name!r}{values}", file=_file.get(),
+            f"a file may not set the option {self.name!r}{values}", file=file,
             hint="It is set on the command line (--set) or in Python alone.",
             name=self.name)
 
@@ -161,7 +161,9 @@ class Option:
         # None stands for "not given", which only such options accept.
         if value is None and self.default is None:
             return None
-        self._require_from_file(value)
+        # What a user types is not restricted; a file is that of `options_of_file`.
+        if file := _file.get():
+            self._require_from_file(value, file)
         wrong = TermselError(f"option {self.name!r} does not accept {value!r}",
                              hint=f"Accepted: {self.accepts}.", name=self.name)
         parsed: Any

@@ -26,6 +26,7 @@ from termsel.data.tables.tabular import (
     as_numbers,
     refuse_repeated_lines,
     refuse_repeated_places,
+    replace_unchecked,
     rows_at,
     stack_columns,
 )
@@ -384,9 +385,10 @@ class FeatureSet(Glance):
         """
         n = len(self.points)
         points = self.points.take(mask[:n])
-        if not len(self.lines):
-            return replace(self, points=points)
-        return replace(self, points=points, lines=self.lines.take(mask[n:][self.lines.feature]))
+        lines = self.lines
+        if len(lines):
+            lines = lines.take(mask[n:][lines.feature])
+        return replace_unchecked(self, points=points, lines=lines)
 
     @explains_arguments()
     def texts(self, name: str) -> TextArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeVar
 
@@ -107,8 +107,8 @@ class Scaling:
     @lru_cache(maxsize=8)  # noqa: B019 - a scaling is a value: many models are fitted to one control
     def features(self, features: FeatureSet) -> FeatureSet:
         """Return the features in scaled coordinates; cached."""
-        return replace(features, points=self.points(features.points),
-                       lines=self.points(features.lines))
+        return replace_unchecked(features, points=self.points(features.points),
+                                 lines=self.points(features.lines))
 
     def numbers(self) -> ScalingNumbers:
         """Return the scaling as the record of a run holds it."""

@@ -50,8 +50,7 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
     from termsel_studies import frequencies as frequencies_module
 
     # Wrong arguments are refused before the searches, which take long.
-    export_files = run_settings.export_files()
-    page = run_settings.report_file()
+    export_files, page = run_settings.further_files()
     features, options = run_settings.read()
     problem = run_settings.problem or problem_for(features, run_settings.dataset)
     _lock_folder(run_settings)

@@ -254,42 +254,33 @@ class RunOptions:
                 "evaluations": self.evaluations, "seconds": self.seconds,
                 "patience": self.patience}
 
-    def export_files(self) -> dict[str, Path]:
-        """Return the file in ``--out`` of each format of ``--export``; none without ``--out``.
+    def further_files(self) -> tuple[dict[str, Path], Path | None]:
+        """Return the files of ``--export`` in ``--out``, by format, and the page of ``--report``.
 
-        Raises TermselError for an unknown format, and for a file that may not be replaced.
+        The page is None if it is not asked for. Raises TermselError for an unknown format, if
+        altair, which draws the page, is not installed, and for a file that may not be replaced.
         """
+        if self.out is None or not (self.exports or self.reports):
+            return {}, None
         from termsel.io.export import writer_of
         from termsel.io.replacing import require_replaceable
+        from termsel.results.theme import require_altair
 
-        if self.out is None:
-            return {}
         # A format says how its files end; one that does not is named by its format.
         files = {to: self.out / f"result{writer_of(to).suffix or f'.{to}'}" for to in self.exports}
         written: list[Path] = []
         for to, file in files.items():
             written += writer_of(to).files(file)
+        page = self.out / REPORT if self.reports else None
+        if page is not None:
+            require_altair()
+            written.append(page)
         require_replaceable(written, reads=self.reads, overwrite=self.overwrite,
                             makes_folder=True)
-        return files
-
-    def report_file(self) -> Path | None:
-        """Return the page of ``--report`` in ``--out``; None if it is not asked for.
-
-        Raises TermselError if altair is not installed, or if the page may not be replaced.
-        """
-        from termsel.io.replacing import require_replaceable
-        from termsel.results.theme import require_altair
-
-        if not self.reports or self.out is None:
-            return None
-        require_altair()
-        require_replaceable([self.out / REPORT], reads=self.reads, overwrite=self.overwrite,
-                            makes_folder=True)
-        return self.out / REPORT
+        return files, page
 
     def write(self, result: Result, export_files: Mapping[str, Path], page: Path | None) -> None:
-        """Write a result in the formats of ``--export``, each to its file, and its page, if any."""
+        """Write a result to the files of `further_files`, and say on stderr which were written."""
         from termsel.io.export import export
 
         for to, file in export_files.items():

@@ -519,7 +519,7 @@ class Tabular(Glance, Framed):
 
 @cache  # a fact of a class, asked for with each new table
 def _given_fields(kind: Hashable) -> tuple[str, ...]:
-    """Return the names of the fields of points or lines; all else that they keep is derived."""
+    """Return the names of the fields of a table or features; all else they keep is derived."""
     return tuple(column.name for column in fields(cast(type, kind)))
 
 
@@ -538,7 +538,7 @@ def rows_of(ids: Sequence[str], index: ArrayLike) -> NDArray[np.intp]:
 
 
 def replace_unchecked(table: _Table, **changes: Any) -> _Table:
-    """Return points or lines with some fields changed, without the checks of new ones.
+    """Return points, lines or features with some fields changed, without the checks of new ones.
 
     It is for changes that keep what was checked, such as a choice of rows or other units. Fits make
     so many of these objects that the checks took a quarter of their time. Arrays among the changes
