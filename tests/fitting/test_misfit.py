@@ -306,6 +306,33 @@ def test_many_points_know_a_weak_bend_better_than_any_two_hundred_of_them() -> N
     assert sigma < 0.15e-3
 
 
+def distorted(count: int, size: float, relief: float) -> FeatureSet:
+    """Return points of an image that is distorted by a size towards its corners [px].
+
+    They are measured to half a pixel. Without relief no height is known.
+    """
+    rng = np.random.default_rng([33, count])
+    share = rng.uniform(0.0, 1.0, (count, 2))
+    centred = 2.0 * share - 1.0
+    distortion = size * centred * (0.5 * centred**2).sum(axis=1, keepdims=True)**2
+    heights = rng.uniform(0.0, relief, count) if relief else np.full(count, np.nan)
+    parallax = centred * np.nan_to_num(heights)[:, None] / 8.0
+    ground = np.column_stack([5e5 + 8e3 * share[:, 1], 5e6 - 8e3 * share[:, 0], heights])
+    image = 4e3 * share + distortion + parallax + rng.normal(0.0, 0.5, (count, 2))
+    return FeatureSet(Points(tuple(map(str, range(count))), image, ground), crs="EPSG:32633")
+
+
+@pytest.mark.parametrize(("relief", "model"), [(0.0, "field"), (300.0, "field3d")])
+@pytest.mark.parametrize("size", [0.0, 100.0, 1000.0])
+def test_noise_is_told_from_a_field_of_any_size(size: float, relief: float, model: str) -> None:
+    # A field of 1000 px had the noise stated as up to ten times what it is.
+    features = distorted(60, size, relief)
+    fitted = termsel.fit(features, model)
+    places = features.points.ground
+    noise = np.sqrt(fitted.sigma(places, measured=True)**2 - fitted.sigma(places)**2)
+    assert 0.3 < noise.mean() < 1.3
+
+
 @pytest.mark.parametrize("smoothness", [0.5, 1.5])
 def test_groups_of_many_points_tell_a_rough_field_from_a_smooth_one(smoothness: float) -> None:
     rng = np.random.default_rng(16)

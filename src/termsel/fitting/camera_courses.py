@@ -44,6 +44,7 @@ from termsel.data.features import FloatArray, Points
 from termsel.data.monomials import evaluate_monomials, graded_exponents
 from termsel.fitting.local_courses import LENGTHS, LOCAL_MIN_POINTS, SMOOTHNESSES
 from termsel.fitting.misfit import (
+    LARGER_RATIOS,
     MISFIT_BATCH,
     MISFIT_MAX_POINTS,
     MISFIT_RATIOS,
@@ -61,8 +62,11 @@ AFFINE_COLUMNS = 4
 LOWER_TRIANGLE = np.tril_indices(len(EXPONENTS) - AFFINE_COLUMNS + 2)
 """Rows and columns of the products of curved columns and both deviations."""
 
+CAMERA_RATIOS = MISFIT_RATIOS + LARGER_RATIOS
+"""Standard deviations of the field by that of the noise."""
+
 CAMERA_FIELD_PROBABILITY = 0.5
-"""Probability of a field of any of MISFIT_RATIOS, as in the model of a field with heights."""
+"""Probability of a field of any of these ratios, as in the model of a field with heights."""
 
 TIME_PROBABILITY = 0.5
 """Probability among fields that a camera shakes in time."""
@@ -346,13 +350,14 @@ def camera_courses(points: Points, pixel: float) -> CameraCourses | None:
     if control is None:
         return None
     # Of each ratio and noise, and of no field at all.
-    by_ratio = prior.field_size_probabilities(control.noises, CAMERA_FIELD_PROBABILITY)     # (r, s)
+    by_ratio = prior.field_size_probabilities(                                           # (r, s)
+        control.noises, CAMERA_FIELD_PROBABILITY, CAMERA_RATIOS)
     without = np.maximum(1.0 - by_ratio.sum(axis=0, keepdims=True), np.finfo(float).tiny)
     logs = []
     grids = []
     for field, ratios, probabilities in [
             (Field(1.0, LENGTHS[0], SMOOTHNESSES[0]), (0.0,), without),
-            *((field, MISFIT_RATIOS, field.probability * by_ratio) for field in _fields())]:
+            *((field, CAMERA_RATIOS, field.probability * by_ratio) for field in _fields())]:
         # The noise is that of both axes, and so is whether there is a field.
         of_field = probabilities.sum(axis=0)
         seen = control.seen_by(field, ratios)

@@ -51,6 +51,7 @@ from termsel.core.threads import one_blas_thread
 from termsel.data.coordinates.nearest import nearest_points
 from termsel.data.features import FloatArray, IntArray, Points
 from termsel.fitting.misfit import (
+    LARGER_RATIOS,
     MISFIT_BATCH,
     MISFIT_MAX_POINTS,
     NEGLIGIBLE_SHARE,
@@ -60,6 +61,7 @@ from termsel.fitting.misfit import (
     System,
     determined_trend,
     matern_correlations,
+    ratio_probabilities,
     rows_of_field,
     trend_of,
 )
@@ -85,10 +87,10 @@ SWATH_SMOOTHNESS = 0.5
 UNEQUAL_PROBABILITY = 0.1
 """Probability of both among fields."""
 
-RATIOS = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8, 25.6)
-"""Standard deviations of the field by that of the noise, all as likely beforehand."""
+RATIOS = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8, 25.6, *LARGER_RATIOS)
+"""Standard deviations of the field by that of the noise."""
 
-FINE_RATIOS = tuple(np.geomspace(0.1, 25.6, 17).tolist())
+FINE_RATIOS = (*np.geomspace(0.1, 25.6, 17).tolist(), *LARGER_RATIOS)
 """The same where many points show it to a few per cent."""
 
 TREND_SIZES = np.repeat((3.3, 6.6), np.diff(TREND_COLUMNS))
@@ -109,10 +111,10 @@ MAX_CELLS = 16
 KEPT_CELLS = 4
 """Cells that are kept for further places, of all fits together; each has some 10 MB."""
 
-NOISE_BY_TREND = np.geomspace(0.01, 2.0, 26)
+NOISE_BY_TREND = np.geomspace(0.001, 2.0, 37)
 """Noises that are tried, by the scatter about the trend."""
 
-FINE_NOISE_BY_TREND = np.geomspace(0.02, 1.3, 300)
+FINE_NOISE_BY_TREND = np.geomspace(0.001, 1.3, 500)
 FINE_FREEDOM = 100
 """The same where the scatter in groups has so many degrees of freedom, or more, and shows it to a
 few per cent."""
@@ -443,7 +445,7 @@ def _log_likelihoods(system: System, within: Groups, covariance: Covariance) -> 
         explained = along_squared[:, affine_columns:columns].sum(axis=1)               # (r, 2)
         logs[j] = (affine + explained.T[..., None] / system.noises**2 * (0.5 * n / (n + 1.0))
                    - 0.5 * (columns - affine_columns) * np.log(n + 1.0))
-    return np.asarray(logs - np.log(len(ratios)))
+    return np.asarray(logs + np.log(ratio_probabilities(ratios))[:, None])
 
 
 def _halve_rows(positions: FloatArray, rows: IntArray, most: int) -> list[IntArray]:

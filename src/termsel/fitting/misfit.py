@@ -67,6 +67,11 @@ MISFIT_SMOOTHNESS = 1.5
 MISFIT_RATIOS = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8)
 """Standard deviations of the field by that of the noise, all as likely beforehand."""
 
+LARGER_RATIOS = (51.2, 204.8, 819.2)
+"""The same of fields about a trend that is no model of the image, as where a fisheye is seen by a
+polynomial: all together as likely as one of the others. A field that could be no larger would have
+its noise overstated instead. Steps are wide, as the noise hardly matters."""
+
 MISFIT_PROBABILITY = 0.36
 """Probability of a field of these sizes before the residuals are looked at. What is less than a
 tenth of the noise counts as none."""
@@ -146,21 +151,25 @@ class NoisePrior:
         return np.asarray(logs - np.logaddexp.reduce(logs))
 
     def field_size_probabilities(self, noises: FloatArray,
-                                 field_probability: float = MISFIT_PROBABILITY) -> FloatArray:
-        """Return the probabilities of fields of MISFIT_RATIOS under noises (s,), shape (r, s).
+                                 field_probability: float = MISFIT_PROBABILITY,
+                                 ratios: tuple[float, ...] = MISFIT_RATIOS) -> FloatArray:
+        """Return the probabilities of fields of some ratios under noises (s,), shape (r, s).
 
         The sum of a column is the probability of a field under that noise; the rest is that of
-        none. With f the probability of a field of these sizes, and F the distribution of a small
-        misfit, that of ratio q by noise s is
+        none. With f the probability of a field of these sizes, w that of a ratio q among them, and
+        F the distribution of a small misfit, that of q by noise s is
 
-            f / r + (1 - f) (F(sqrt(2) q s) - F(q s / sqrt(2))).
+            w f + (1 - f) (F(b s) - F(a s)),
+
+        where a and b are half-way to the ratios next to q, and for the last one b is infinite.
         """
-        ratios = np.array(MISFIT_RATIOS)
-        probabilities = np.full((len(ratios), len(noises)), field_probability / len(ratios))
+        of_ratios = field_probability * ratio_probabilities(ratios)
+        probabilities = np.repeat(of_ratios[:, None], len(noises), axis=1)
         if self.small_misfit == 0.0:
             return probabilities
-        # Each ratio stands for an octave, the last one for all that is greater.
-        edges = np.append(ratios / np.sqrt(2.0), np.inf)
+        # Half-way by their logarithms; below the first one half an octave away.
+        between = np.sqrt(np.multiply(ratios[:-1], ratios[1:]))
+        edges = np.concatenate([[ratios[0] / np.sqrt(2.0)], between, [np.inf]])
         below = self._small_misfit_distribution(np.multiply.outer(edges, noises))
         return np.asarray(probabilities + (1.0 - field_probability) * np.diff(below, axis=0))
 
@@ -440,6 +449,15 @@ def misfit_of(image: FloatArray, residuals: FloatArray, noise: NoisePrior,
             course = system.course(spectrum, MISFIT_RATIOS, share * ratio_share)
             courses.append(system.without_noise_of_trend(course, share * ratio_share))
     return Misfit(image, tuple(courses))
+
+
+def ratio_probabilities(ratios: tuple[float, ...]) -> FloatArray:
+    """Return how likely each of r ratios is among fields, (r,).
+
+    All are alike, but that the LARGER_RATIOS share the probability of one.
+    """
+    weights = np.where(np.isin(ratios, LARGER_RATIOS), 1.0 / len(LARGER_RATIOS), 1.0)
+    return np.asarray(weights / weights.sum())
 
 
 def rows_of_field(n: int) -> IntArray:
