@@ -19,7 +19,10 @@ _imported, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> object:
-    """Return a public name, imported when it is first used."""
+    """Return a public name, imported when it is first used.
+
+    Raises AttributeError, with what may be meant, for a name that termsel does not have.
+    """
     if name in __all__ or name.startswith("_"):
         return _imported(name)
     from termsel.core.arguments import missing_name_message

@@ -76,7 +76,11 @@ def open_streams() -> None:
 
 
 def end_threads(code: object) -> None:
-    """End the program with an exit code where a thread, as of a plugin, would not let it end."""
+    """End the program where a thread, as of a plugin, would not let it end.
+
+    It ends with `code`, or 0 where that is no number, after a note on whose thread it is. Threads
+    have `PATIENCE` to end by themselves; nothing happens where they do.
+    """
     import threading
 
     # Python itself ends the threads of executors.

@@ -45,7 +45,11 @@ class Refused(Exception):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Check the file that is named; return 0 if it proves its claim, else 2."""
+    """Check the file that the one argument names; return 0 if it proves its claim, else 2.
+
+    What it claims, and what is proved of that, is printed; on stderr why it is refused, or how many
+    selections are left open. `arguments` are by default those of the command line.
+    """
     names = sys.argv[1:] if arguments is None else list(arguments)
     if len(names) != 1 or names[0].startswith("-"):
         print("usage: python -m termsel.check FILE", file=sys.stderr)

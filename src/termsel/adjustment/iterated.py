@@ -103,8 +103,9 @@ def _newton_steps(system: Quotients, prior: FloatArray | None, terms: BoolArray,
                   active: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return full Gauss-Newton steps (p, k), how much they gain (p,), and the sums of squares (p,).
 
-    The gain is the length that a full step would take from the distances. The steps of selections
-    beyond a pole, or with dependent columns, are 0.
+    They are for p selections of `terms`, masks (p, k), from the coefficients `x` (p, k); `active`
+    (p,) are the numbers of these individuals. The gain is the length that a full step would take
+    from the distances. Step and gain are 0 for selections beyond a pole, or with dependent columns.
     """
     v, quotients, factors = system.misfits(x, active)
     step = np.zeros_like(x)

@@ -170,10 +170,10 @@ def replace_rounding_by_size(
 
 
 def index_of_largest(values: FloatArray) -> IntArray:
-    """Return the index of the largest value of each row; if several are equal, the first of them.
+    """Return the index of the largest of k values (..., k); the first one if several are equal.
 
-    The last axis is the row. Values that differ by `ROUNDING` are equal. Where any value is not
-    negative, a negative one cannot be chosen.
+    Values that differ from the largest by no more than its share `ROUNDING` are equal to it. Where
+    any value is not negative, a negative one cannot be chosen.
     """
     maxima = values.max(axis=-1, keepdims=True)
     return np.asarray((values >= maxima - ROUNDING * np.abs(maxima)).argmax(axis=-1))

@@ -254,10 +254,11 @@ def _verdict_on(control: FitData, auto: Auto) -> _Verdict | None:
 
 def _with_predicted_by_models(control: FitData, auto: Auto, used: BoolArray,
                               predictable: BoolArray) -> BoolArray:
-    """Return the features in use, (n,), with those that the model chosen for them predicts.
+    """Return a mask (n,) of the features in use and of those that the model of these predicts.
 
-    Another model, such as an RFM, may predict what the polynomial of the tests does not. Only what
-    is `predictable` is taken in, (n,).
+    Another model, such as an RFM, may predict what the polynomial of the tests does not. The choice
+    is repeated with what is taken in, until nothing more is. Only what the mask `predictable` (n,)
+    has is taken in.
     """
     while not used.all():
         choice = auto.choose(control.take(used), with_contained=False)
@@ -271,10 +272,11 @@ def _with_predicted_by_models(control: FitData, auto: Auto, used: BoolArray,
 
 
 def _without_likely_blunders(control: FitData, used: BoolArray, max_share: float) -> BoolArray:
-    """Return the features in use, (n,), without points that are likelier blunders than right.
+    """Return a mask (n,) of the features in use, without points that are likelier blunders.
 
     The likeliest blunder goes first, and the remaining points are judged again: without the worst
-    error the next may look innocent. At most `max_share` of all features are out of use.
+    error the next may look innocent. None goes where that would put more than `max_share` of all
+    features out of use, and none of few points or where there are lines.
     """
     # With few points a probable blunder may be half of what there is.
     if len(control) < MIN_PROBABLE_POINTS or len(control.features.lines):
@@ -322,10 +324,12 @@ def _majority_of_polynomials(control: FitData,
 
 
 def _grow_majority(control: FitData, agreeing: BoolArray) -> tuple[BoolArray, Test] | None:
-    """Return the points of a majority and those that it predicts, (n,), and their test.
+    """Return a mask (n,) of the points of a majority and those that it predicts, and their test.
 
-    The closest are admitted bit by bit, until the noise jumps: among many admitted at once blunders
-    hide each other. Returns None where the points are too few for a test.
+    `agreeing` (n,) is the mask of the majority. The closest others are admitted bit by bit, until
+    the noise jumps: among many admitted at once blunders hide each other. Points of the majority
+    that it contradicts beyond chance are left out. Returns None where the majority itself is too
+    small for a test.
     """
     n = len(control)
     used = agreeing

@@ -284,10 +284,10 @@ class Division:
         return float(np.log(len(self.in_use) - 1))
 
     def candidates_of_bend(self) -> IntArray:
-        """Return the indices of points out of use that a bend may explain, the likeliest first.
+        """Return the indices (c,) of points out of use that a bend may explain, likeliest first.
 
         A regularised polynomial which follows strong bends predicts these points within chance, or
-        too weakly to say.
+        too weakly to say. There are none where it has no prediction.
         """
         prediction = _prediction_by(self, *_bending_polynomial(heights=self.all_features.heights))
         if prediction is None:

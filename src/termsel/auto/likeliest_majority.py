@@ -239,10 +239,11 @@ class Likelihoods:
         return sorted(reached.values(), key=lambda likelihood_and_set: -likelihood_and_set[0])
 
     def best_samples(self, rng: np.random.Generator) -> BoolArray:
-        """Return sets (m, n) of the points that the best random samples make likelier right.
+        """Return masks (m, n) of the points that the best random samples make likelier right.
 
-        These are SAMPLED_STARTS samples under each of the SAMPLED_SCALES. A sample predicts all
-        other points as a random field of these terms does: far from it the prediction is uncertain.
+        These are SAMPLED_STARTS samples under each of the SAMPLED_SCALES, m in all; a sample's own
+        points are in its mask. A sample predicts all other points as a random field of these terms
+        does: far from it the prediction is uncertain. `rng` draws the samples.
         """
         n = len(self.design)
         samples = np.argpartition(rng.random((SAMPLES, n)), SAMPLE_SIZE, axis=1)[:, :SAMPLE_SIZE]

@@ -216,7 +216,7 @@ def _cached_evidence(measurements: Measurements, scaling: Scaling, crs: str,
 @lru_cache(maxsize=2)  # a fit, its description and its spread need it
 def _cached_camera_average(measurements: Measurements, scaling: Scaling, crs: str,
                            exponents: Exponents) -> CameraAverage | None:
-    """Return what `camera_average` does, and keep it for the last data.
+    """Return what `camera_average` does, None included, and keep it for the last data.
 
     The members of the average are the cameras, then the polynomials of degree 2 and 3, with their
     evidence as weights. A point that is left out changes the evidence of all members, so that its
@@ -337,8 +337,9 @@ class Physical(Estimator):
             used: BoolArray) -> Fit:
         """Fit a cubic polynomial by the average over cameras and polynomials.
 
-        Arguments are those of `Estimator.fit`. Raises Undetermined where the points speak against a
-        camera, or a random field explains them better, with the probability of the cameras.
+        Arguments are those of `Estimator.fit`; all terms are fitted, whatever `terms` selects.
+        Raises Undetermined for lines, and where the points speak against a camera or a random field
+        explains them better, with the probability of the cameras.
         """
         assert isinstance(model, Polynomial)
         points = scaling.points(points_alone(control, used, "a physical prior"))

@@ -43,7 +43,7 @@ class Reweighted(Estimator):
 
     def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Return the robust fit of a model, with the arguments of `Estimator.fit`.
+        """Return the robust fit of the terms and features in use; see `Estimator.fit`.
 
         Of lines under denominators the first step of the iteration is fitted. A model that is not
         determined comes back as least squares fit it.

@@ -182,7 +182,7 @@ def _triangle(rows: FloatArray) -> FloatArray:
 
 def _selected_terms(systems: FloatArray, equations: FloatArray, forced: int,
                     max_selected: int) -> BoolArray | None:
-    """Return the terms that each of s systems selects, (s, k); None if forced ones are dependent.
+    """Return masks (s, k) of the terms that s systems select; None if forced ones are dependent.
 
     The systems (s, r, k + 1) are triangular factors of terms and target; `equations` (s,) is how
     many rows each was made of. The first `forced` terms are always in; at most `max_selected`
@@ -260,10 +260,12 @@ def _select_terms(rows: FloatArray, lengths: FloatArray, equations: FloatArray,
 @_compiled
 def _entering_term(rows: FloatArray, lengths: FloatArray, chosen: BoolArray, squares: FloatArray,
                    gains: FloatArray) -> int:
-    """Return the term that explains most of the target of `rows` (r, k + 1); -1 if there is none.
+    """Return the index of the term that explains most of the target of `rows` (r, k + 1), or -1.
 
-    Among equals, but for rounding, it is the first. `squares` (k,) becomes the sums of squares of
-    the columns; `gains` (k,) is scratch.
+    -1 is returned where no term is left that is not in the mask `chosen` (k,) and not dependent on
+    those chosen. Among equals, but for rounding, it is the first. `lengths` (k,) are those of the
+    columns before any was chosen; `squares` (k,) becomes the sums of squares of the columns as they
+    are now; `gains` (k,) is scratch.
     """
     m, width = rows.shape
     k = width - 1

@@ -70,7 +70,7 @@ class Averaging(Estimator):
 
     def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Fit a polynomial (see `Estimator.fit`) with all its terms.
+        """Fit a polynomial to the features in use, with all its terms; see `Estimator.fit`.
 
         Raises Undetermined where leaving out some single feature leaves an affine model
         undetermined.
@@ -214,7 +214,10 @@ class RidgeByOrder(Estimator):
 
     def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Fit a model (see `Estimator.fit`); its adjustment is that of least squares."""
+        """Fit the terms and features in use (see `Estimator.fit`), shrunken by their order.
+
+        The rest of the adjustment, such as its rank, is that of least squares.
+        """
         plain = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)
         coefficients = np.zeros(len(terms))
         trace = 0.0

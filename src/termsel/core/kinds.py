@@ -98,7 +98,10 @@ def _kind_of_union(name: str, hints: Sequence[Any]) -> Kind | None:
 
 
 def _kind_of_tuple(hints: Sequence[Any]) -> Kind | None:
-    """Return the kind of several numbers in their order, such as the bounds of a map."""
+    """Return the kind of several numbers in their order, such as the bounds of a map.
+
+    `hints` are the types of all places; None is returned if one of them is no number.
+    """
     if not set(hints) <= {int, float}:
         return None
 

@@ -11,7 +11,7 @@ IntArray = NDArray[np.intp]
 
 
 def numbers_or_nan(values: ArrayLike) -> FloatArray:
-    """Return values as an array of numbers, with NaN where a masked array of numpy masks them.
+    """Return values as an array of the same shape, with NaN where a masked array masks them.
 
     The number below a mask is no measurement: in a hole of a DEM it is -9999, say.
     """

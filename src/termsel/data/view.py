@@ -385,7 +385,11 @@ def _least_distance_matrix(columns: FloatArray, image: FloatArray) -> FloatArray
 
 def _gauss_newton_step(matrix: FloatArray, columns: FloatArray,
                        residuals: FloatArray) -> FloatArray:
-    """Return the Gauss-Newton step of a matrix, at right angles to it as its size is free."""
+    """Return the Gauss-Newton step (3, k) of a matrix (3, k), at right angles to it.
+
+    Its size is free. `columns` (n, k) are those of the places, and `residuals` (n, 2) their image
+    positions less those by the matrix.
+    """
     projected = _project_with_matrix(matrix, columns)
     denominators = columns @ matrix[2]
     # The derivatives of a p / d p are p / (d p) by a and -(a p / d p) p / (d p) by d.

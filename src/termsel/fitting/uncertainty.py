@@ -175,9 +175,10 @@ def unexplained_by(model: SensorModel, control: FeatureSet, terms: BoolArray,
                    least_squares: bool) -> list[Unexplained]:
     """Return what each course that `spread_of` takes for possible leaves of the control.
 
-    A course is what the truth may be: the fit itself, whose residuals are `own`, or the belief; of
-    a model that interpolates there is one. What separates the fit from a course is part of its
-    spread already, so that only what the course leaves is to be added to that.
+    `terms` (k,) is a mask of those that were fitted. A course is what the truth may be: the fit
+    itself, whose residuals are `own`, or the belief; of a model that interpolates there is one.
+    What separates the fit from a course is part of its spread already, so that only what the course
+    leaves is to be added to that.
     """
     points = control.points
     interpolation = model.interpolation(control)

@@ -40,7 +40,10 @@ def stated_crs(stated: str | None) -> str | None:
 
 
 def crs_next_to(path: Path) -> str:
-    """Return the CRS in the file of the same name that ends in .prj; "" without such a file."""
+    """Return the CRS in the file of the same name that ends in .prj; "" without such a file.
+
+    A note says that the CRS is from there. Raises TermselError for a file that holds no CRS.
+    """
     prj = prj_next_to(path)
     if prj is None:
         return ""

@@ -236,10 +236,10 @@ class Dem:
         return heights.reshape(window.height, window.width)
 
     def _read_window(self, first: Any, last: Any) -> FloatArray:
-        """Return the heights from pixel `first` to `last`, and of one more row and column.
+        """Return the heights (rows, columns) from pixel `first` to `last`, and one more of both.
 
-        The further ones are needed to interpolate towards them, and left out at the edge of the
-        raster. Pixels without a height are NaN.
+        The further row and column are needed to interpolate towards them, and left out at the edge
+        of the raster. Pixels without a height are NaN.
         """
         from rasterio.windows import Window
 

@@ -32,10 +32,11 @@ IMAGE = Option("image", None, "The image; if not given, the VRT has a size but n
 
 
 def picture_for(result: Result, image: Path | str | None) -> Picture:
-    """Return the description of a result's image for a VRT.
+    """Return the description of a result's image for a VRT, and warn of what is doubtful about it.
 
-    Without an image its size is that of the features, or one that holds them all. Raises
-    TermselError if the image has another size.
+    Without an image its size is that of the features, or if they state none, one that holds them
+    all. Raises TermselError if the image has another size than the features state, if features lie
+    outside it, or if it cannot be read.
     """
     size_of_features = result.features.image_size
     if image is None:

@@ -91,7 +91,8 @@ def clip_grid(grid: MapGrid, bounds: tuple[float, float, float, float], crs: str
 def map_crs(result: Result, crs: str | None) -> str:
     """Return the CRS of a map: the one given, without it that of `_metric_crs`.
 
-    Raises TermselError if the control has no CRS, and for one that a map cannot have.
+    A zone of UTM that does not fit the control is a warning. Raises TermselError if the control has
+    no CRS, and for one that a map cannot have.
     """
     if normalise(result.features.crs) == LOCAL:
         raise TermselError("a map requires a CRS, but the result has plane coordinates without "

@@ -108,7 +108,7 @@ class MapPixels:
 
 
 def map_pixels(picture: Picture, resampling: str | None, nodata: float | None) -> MapPixels:
-    """Return how the pixels of a map are made from those of a picture.
+    """Return how the pixels of a map are made from those of a picture; say where they differ.
 
     Parameters
     ----------
@@ -121,7 +121,8 @@ def map_pixels(picture: Picture, resampling: str | None, nodata: float | None) -
     Raises
     ------
     TermselError
-        If the resampling is not known or would mix classes, or if pixels cannot hold the value.
+        If the resampling is not known or would mix classes, if pixels cannot hold the value, or if
+        the picture has no band but transparency.
     """
     picture, resampling = _prepare_for_resampling(picture, resampling)
     # Of several bands of transparency the last is used; it comes last in the picture that is
@@ -197,7 +198,8 @@ def _prepare_for_resampling(picture: Picture, resampling: str | None) -> tuple[P
     """Return a picture whose values may be resampled as is asked for, and the resampling.
 
     Colours are resampled instead of the indices of a table, and grey instead of bits; so are
-    tables with colours that are partly transparent, which a GeoTIFF does not hold.
+    tables with colours that are partly transparent, which a GeoTIFF does not hold. Both are noted.
+    By default the resampling is nearest for indices, classes and bits, else bilinear.
 
     Raises TermselError for an unknown resampling, and for one that would mix pixels of classes.
     """
@@ -241,6 +243,8 @@ def warp(raster: Any, output: Path, grid: MapGrid, spec: MapPixels, *, tags: Map
          **options: Any) -> None:
     """Warp a picture, tile by tile, into a cloud-optimised GeoTIFF.
 
+    Warns of pixels that have the value of nodata in the image itself, and are empty on the map.
+
     Parameters
     ----------
     raster : rasterio.DatasetReader
@@ -256,6 +260,11 @@ def warp(raster: Any, output: Path, grid: MapGrid, spec: MapPixels, *, tags: Map
         Where the pixels of the map are in the image; by default GDAL's warper computes that.
     **options
         Options of GDAL's transformer.
+
+    Raises
+    ------
+    TermselError
+        If the image or the heights cannot be read, or the map cannot be written.
     """
     from rasterio._err import CPLE_BaseError
     from rasterio.errors import RasterioError

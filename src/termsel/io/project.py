@@ -120,8 +120,10 @@ def _locate_points(result: Result, path: Path, columns: str, dem: Path | None,
                    ) -> tuple[list[str], FloatArray, FloatArray]:
     """Return ids, image positions (n, 2) of a table, and the ground positions (n, 3) seen there.
 
-    The ground is the raster `dem`, level at `height`, or at the heights z of the table; heights of
-    a model without them are NaN. Arguments and errors are those of `project_table`.
+    The ground is the raster `dem`, level at `height`, or at the heights z of the table; without any
+    of these, as for a model without heights, it is level at 0, and its heights are returned as NaN.
+    A note says if the table has heights that are not used. Arguments and errors are those of
+    `project_table`.
     """
     model = result.fit.model
     crs = result.fit.control.crs

@@ -298,7 +298,11 @@ def _say_level(result: Result, surface: Dem | float) -> HeightCaution | None:
 
 
 def _usable_rpc(result: Result) -> RpcFit | None:
-    """Return the RPC next to the fit of a result; None if there is none, or it is too far off."""
+    """Return the RPC closest to the fit of a result; None if no map can be made by it.
+
+    So it is if none can be fitted, if it is more than `GOOD` [px] off at some place, and if it
+    leaves out a part of the image. Why there is none is logged for developers.
+    """
     try:
         rpc_fit = closest_rpc(result.fit)
     except TermselError as error:

@@ -185,7 +185,10 @@ def with_polar(observations: Observations) -> Observations:
 def _best_predicting_crs(observations: Observations, spatial: bool) -> str:
     """Return the CRS in which the best of the plain and regularised models predicts best.
 
-    If no model can be tested in any, it is the CRS of the features.
+    That is the least RMSE of held-out control [px]. The systems tried are `SYSTEMS`: geocentric
+    coordinates only if the model is `spatial`, and polar ones only near a pole. If no model can be
+    tested in any, it is the CRS of the features. What was left out, and the errors in each, are
+    logged.
     """
     features = observations.together
     predicted: dict[str, float] = {}

@@ -441,7 +441,8 @@ def _named_parts(recipe: Recipe, model: Any, solver: Any, criterion: Any,
 
     A model that interpolates has no terms to select, so that its solver is "all-terms"; several
     objectives need a solver that can handle them. Keys are "model", "criterion", "solver", and
-    "then" where a second step has its own solver.
+    "then" where a second step has its own solver. A rational model of poly-terms is noted. Raises
+    TermselError for a name that is not known, and as `second_solver` does.
     """
     names = registry()
     model_part = names.resolve("models", recipe.model if model is None else model)

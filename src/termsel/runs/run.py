@@ -291,9 +291,11 @@ def _refuse_next_to_task(arguments: Mapping[str, Any]) -> None:
 
 def _run_and_write(work: Callable[[], Result], out: Path | str | None, overwrite: bool,
                    longer: int) -> Result:
-    """Do the work of a run, write its result where that is asked for, and notify the plugins.
+    """Do the work of a run, write its result into the folder `out`, if any, and notify the plugins.
 
-    `longer` are the seconds that a run takes longer which compiles, if any.
+    A certificate of an earlier result in the folder is removed. `longer` are the seconds [s] that a
+    run takes longer which compiles, 0 if none; they are logged. Raises TermselError for a folder
+    that another run writes, that may not be replaced or cannot be written.
     """
     with nullcontext() if out is None else lock_output_folder(Path(out), overwrite=overwrite):
         if longer:

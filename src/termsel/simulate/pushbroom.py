@@ -52,7 +52,7 @@ class Angle:
     jitter: tuple[tuple[float, float, float], ...] = ()
 
     def __call__(self, time: FloatArray) -> FloatArray:
-        """Return the angle [rad] at `time` [s] from the centre of the scene."""
+        """Return angles [rad] at times [s] from the centre of the scene, in the same shape."""
         angle = np.zeros_like(time)
         # Horner's rule, from the highest power down.
         for coefficient in reversed(self.drift):

@@ -198,7 +198,7 @@ def mean_line_solution(equations: Equations, exponents: Exponents,
 @lru_cache(maxsize=4)  # what is asked for again is among the last four
 def _cached_mean(A: bytes, b: bytes, feature: bytes, exponents: Exponents,
                  ) -> tuple[FloatArray, float, FloatArray] | None:
-    """Return what `mean_line_solution` does, given its arrays as bytes, the cache's key.
+    """Return what `mean_line_solution` does, None included, of arrays as bytes, the cache's key.
 
     One run asks more than once for the solution of the features without blunders.
     """

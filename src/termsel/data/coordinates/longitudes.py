@@ -142,9 +142,9 @@ def _may_jump(features: FeatureSet) -> bool:
 
 
 def _continuous_longitudes(features: FeatureSet) -> FloatArray:
-    """Return the longitudes, or x, of the deciding vertices without a jump, in their order.
+    """Return the longitudes, or x, (v,) of the deciding vertices without a jump, in their order.
 
-    If they span more than half a turn, the image of the points may show where the map begins.
+    If they span more than half a turn, the image of enough points may show where the map begins.
     """
     turn = turn_of(features.crs)
     lon = unwrap_longitudes(features.ground_vertices()[_deciding_vertices(features), 0], turn)

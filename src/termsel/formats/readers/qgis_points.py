@@ -81,7 +81,8 @@ class QgisPoints(TableReader):
 
         The columns may hold map coordinates of the image, pixels upwards or pixels downwards. The
         reading by which most points lie in the image counts; between equals the first of these.
-        Raises TermselError where no point lies in the image, and they do not look like pixels.
+        Pixels downwards are noted, as QGIS does not write them. Raises TermselError where no point
+        lies in the image, and they do not look like pixels, and for an image that cannot be read.
         """
         with open_raster(Path(self.options["raster"])) as raster:
             size = raster.shape

@@ -315,11 +315,12 @@ class Table:
 
         In this order: the unit of the image must be pixels; numbers are read with the decimal sign
         of the column, angles in degrees, minutes and seconds; -9999 and the like are no heights;
-        numbers that count west or south change their sign; and units in the name, such as km,
-        become metres. A blank cell is NaN where it `may_be_blank`. A table without a column of
-        heights has NaN for all.
+        numbers that count west or south change their sign, or else units in the name, such as km,
+        become metres. The last two are noted. A blank cell is NaN where it `may_be_blank`. A table
+        without a column of heights has NaN for all.
 
-        Raises TermselError for a cell that is no number, and for a height that stands for none.
+        Raises TermselError for a cell that is no number, for a height that stands for none, and for
+        positions in the image that are no pixels.
         """
         if meaning not in self.columns and meaning[0] == "z":
             return np.full(len(self.lines), np.nan)
@@ -364,9 +365,10 @@ class Table:
     def _with_sign_of_axis(self, numbers: FloatArray, meaning: str) -> FloatArray:
         """Return the angles (n,) of a column that counts west or south, with a minus sign.
 
-        That it does so is in the name of the column, whose `meaning` is one of x or of y.
-        Angles that are all negative already stay as they are, and so do numbers beyond 360, which
-        are plane coordinates. Raises TermselError where only some angles are negative.
+        That it does so is in the name of the column, whose `meaning` is one of x or of y; the
+        change is noted. Angles that are all negative already stay as they are, and so do all
+        numbers if one is beyond 360: they are plane coordinates. Raises TermselError where only
+        some angles are negative.
         """
         negative_rows = np.flatnonzero(numbers < 0.0)
         if len(negative_rows) == len(numbers) or np.abs(numbers).max(initial=0.0) > 360.0:
@@ -786,8 +788,8 @@ def _without_title(path: Path | None, cells: Cells, aliases: Aliases,
                    stated: Mapping[str, str]) -> Cells:
     """Return cells whose first row is the header, without the title that may stand above it.
 
-    Only text and sheets may have a title; records have keys. Raises TermselError where no row of as
-    many cells is below a title.
+    Only text and sheets may have a title; records have keys. A note says which row is the header.
+    Raises TermselError where no row of as many cells is below a title.
     """
     first = header_row(cells.rows, aliases, stated) if cells.row_name == "line" else 0
     if first == 0:

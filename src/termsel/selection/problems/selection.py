@@ -178,7 +178,11 @@ class SelectionProblem(Problem):
         return problem
 
     def _require_solvable(self, selects_terms: bool) -> None:
-        """Raise TermselError for control that no selection could solve the model from."""
+        """Raise TermselError for control that no selection could solve the model from.
+
+        Sets `_least_freedom`, the redundancy that a selection must have: 1, or 0 where features
+        alone are selected and the user limits their number.
+        """
         max_features = _feature_counts(self.inputs)[1] if self._selects_features else None
         # A user may ask for so few features that the model is just determined.
         self._least_freedom = 1 if max_features is None or selects_terms else 0
@@ -305,6 +309,8 @@ class SelectionProblem(Problem):
 
     def _excess_uncovered(self, features: BoolArray | None) -> FloatArray | float:
         """Return how far the uncovered share of the image exceeds its limit, (p,); 0.0 without one.
+
+        `features` (p, n) are masks of the selections, None where features are not selected.
         """
         max_uncovered = self.inputs.options.get("max_uncovered")
         if features is None or max_uncovered is None:
@@ -404,7 +410,10 @@ class SelectionProblem(Problem):
         return np.concatenate(blocks)
 
     def _empty_axes(self, terms: BoolArray) -> FloatArray:
-        """Return how many axes of each individual have no term, (p,)."""
+        """Return how many axes, 0 to 2, have none of the terms that masks (p, k) select, (p,).
+
+        A model whose terms are not all of line or of sample has 0.
+        """
         axis = self.inputs.model.axis
         if not np.isin([LINE, SAMPLE], axis).all():
             return np.zeros(len(terms))

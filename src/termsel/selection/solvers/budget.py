@@ -101,7 +101,11 @@ class Patience:
         self.least: np.ndarray[tuple[int], np.dtype[np.float64]] | None = None
 
     def lost(self, ledger: Ledger) -> bool:
-        """Return True if the generation that has just ended is the last to wait for."""
+        """Count the generation that has just ended; return whether it is the last to wait for.
+
+        A smaller violation or a better objective begins the count again. Without `generations`
+        there is no last one.
+        """
         if self.generations is None:
             return False
         # A smaller violation, or a better objective, begins the waiting again.

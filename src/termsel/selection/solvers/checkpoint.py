@@ -106,9 +106,9 @@ class Checkpoint:
                                "file, and free space, or name another.") from error
 
     def _read(self, lines: Sequence[bytes]) -> None:
-        """Keep the lines of an earlier process by their stage.
+        """Keep the lines of an earlier process by their stage; note another version of termsel.
 
-        Raises TermselError if they are no checkpoint, or one of them is damaged.
+        Raises TermselError if they are no checkpoint, or that of other data, or one is damaged.
         """
         try:
             # Another file by mistake: its content must not be lost.
@@ -173,8 +173,9 @@ class Stage:
     def replay_next(self, keys: Sequence[bytes], problem: Problem, genes: Any) -> Evaluation | None:
         """Return the next evaluation of the file, or None where the file has come to its end.
 
-        It is that of the individuals `genes`, whose keys are `keys`. Raises TermselError for a file
-        that is of another search.
+        It is that of the individuals `genes`, whose keys are `keys`, which are counted as replayed.
+        An evaluation of the first of them alone, cut short by a smaller budget, is passed over.
+        Raises TermselError for a file of another search or of other data.
         """
         while self._lines:
             line = self._lines.popleft()
@@ -202,7 +203,7 @@ class Stage:
         """Evaluate a population again: other data give other figures.
 
         Raises TermselError if they differ. What has no solution shows nothing, as it is infinite
-        whatever the data.
+        whatever the data: only a population with a solution sets `_is_compared`.
         """
         evaluated_now = problem.evaluate(genes)
         is_solved = (evaluation.violation <= 0) & np.isfinite(evaluation.objectives).all(axis=1)

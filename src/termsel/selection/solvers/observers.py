@@ -18,7 +18,10 @@ class Observers:
         self.ended = False
 
     def tell(self, progress: Progress) -> bool:
-        """Give the progress to all observers; return whether one of them ends the search."""
+        """Give the progress to all observers; return whether one of them has ended the search.
+
+        An observer ends it by returning True or raising StopIteration, now or in an earlier call.
+        """
         for observe in self._observers:
             try:
                 # Observers return all kinds of things, of which only True is an answer.

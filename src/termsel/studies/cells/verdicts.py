@@ -155,7 +155,7 @@ def _too_uncertain_clause(row: Mapping[str, Any]) -> list[str]:
 
 
 def _why_unknown(row: Mapping[str, Any]) -> str:
-    """Return why the accuracy of an image is not known, as the end of a clause."""
+    """Return why the accuracy of an image is not known, as the end of a clause; "" if unclear."""
     points = count_in_words(row["n_control"] or 0, "control point")
     if any(EXACTLY in note for note in row["notes"] or ()):
         return f": {points} determine the model exactly; measure at least one more"

@@ -40,7 +40,8 @@ def defer_interrupts(say: Callable[[], None]) -> Iterator[Stop]:
     pressed = False
 
     def note(_number: int, _frame: FrameType | None) -> None:
-        """Note the first Ctrl-C, and say that it is heard."""
+        """Note the first Ctrl-C, and say that it is heard; raise KeyboardInterrupt at the second.
+        """
         nonlocal pressed
         # The second Ctrl-C ends at once.
         if pressed:

@@ -82,7 +82,7 @@ class _Reader:
                 self._read_pair(table)
 
     def _read_header(self) -> Path:
-        """Pass ``[table]`` or ``[[list]]`` and return its path.
+        """Pass the tokens of ``[table]`` or ``[[list]]``; keep its place, and return its path.
 
         The path has names of tables, and for a list of tables the number of the latest one, as TOML
         has it.
@@ -108,7 +108,7 @@ class _Reader:
         return path
 
     def _read_key(self) -> list[str]:
-        """Pass a key, which may have dots, and return its parts."""
+        """Pass the tokens of a key, which may have dots, and return its parts."""
         names = [""]
         # Until the sign that ends a key, or a header.
         while (text := self._tokens[self._at][1]) not in ("=", "]"):

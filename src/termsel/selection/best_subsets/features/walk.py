@@ -176,7 +176,7 @@ class Selections:
         return selections, remaining.scores[:count] + self.floor
 
     def _list_all_selections(self, branch: Branch) -> BoolArray:
-        """Return all selections of a branch, (s, n), one by one, where none is scored."""
+        """Return masks (s, n) of all selections of a branch, where none is scored."""
         # Features that are fixed or in use count towards the sizes that are allowed.
         fixed = int(self.on.sum())
         used = len(branch.used)

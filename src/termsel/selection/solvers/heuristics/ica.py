@@ -73,9 +73,9 @@ def assimilate(colonies: BoolArray, imperialists: BoolArray, rate: FloatArray | 
 
 def revolt(colonies: BoolArray, rebels: BoolArray, redrawn: BoolArray,
            drawn: BoolArray) -> BoolArray:
-    """Return colonies (n, g) after the revolt of some of them, figure 4.
+    """Return the genes (n, g) of colonies after the revolt of some of them, figure 4.
 
-    The colonies that are `rebels` (n,) get the values `drawn` (n, g) in the genes that are
+    The colonies in the mask `rebels` (n,) get the values `drawn` (n, g) in the genes of the mask
     `redrawn` (n, g).
     """
     return np.where(rebels[:, None] & redrawn, drawn, colonies)

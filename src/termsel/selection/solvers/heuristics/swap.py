@@ -65,7 +65,7 @@ def _neighbours_in_segment(genes: Genes, genome: Genome, segment: AnySegment) ->
 
 
 def _neighbours_of_bits(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
-    """Yield the neighbours in a genome of bits alone, in batches (b, size).
+    """Yield the neighbours of `genes` (size,), in a genome of bits alone, in batches (b, size).
 
     A neighbour has one bit more or less, or one bit moved to another place of its segment, within
     the numbers that the segment allows. There may be millions of moves, so that none is made before

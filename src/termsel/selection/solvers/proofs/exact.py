@@ -126,7 +126,13 @@ class Exact(Solver):
     )
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
-        """Yield the best so far until all is decided (see `Solver.generations`)."""
+        """Yield the best so far until all is decided (see `Solver.generations`).
+
+        Of many states of a proof only some are reported. How much there is to decide, and how long
+        it may take, is logged first. Raises TermselError for a problem that cannot be decided,
+        for one that cannot have the certificate that is asked for, and where an evaluation
+        contradicts the proof.
+        """
         max_terms = self.options["max_terms"]
         workers = self.options["workers"] or os.cpu_count() or 1
         systems = problem.row_systems()

@@ -127,9 +127,10 @@ def prove_features(problem: Problem, selections: Selections,
 
 def proof_generations(problem: Problem, systems: tuple[RowSystem, ...], workers: int,
                       max_terms: int | None) -> Iterator[Generation]:
-    """Yield the best so far, with a certificate, until every selection of features is decided.
+    """Yield the best so far, with what is proven of it, until every selection is decided.
 
-    Raises TermselError for too many features, and for `max_terms`, which limits nothing here.
+    How many selections there are, and how long it may take, is logged first. Raises TermselError
+    for too many features, and for `max_terms`, which limits nothing here.
     """
     if max_terms is not None:
         raise TermselError("max_terms limits terms, and this problem selects features",
