@@ -12,7 +12,10 @@ import termsel
 from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.fitting.local_courses import MAX_CELLS, TREND_COLUMNS, local_courses
 from termsel.fitting.misfit import (
+    LikelySolutions,
     NoisePrior,
+    Spectrum,
+    Whitened,
     matern_correlations,
     misfit_of,
     mixed_misfit,
@@ -397,6 +400,35 @@ def test_a_course_of_several_trends_is_the_sum_of_theirs() -> None:
         course = solutions.course(system)
         found = course.squares(course.columns(places, system.positions, trend), 0.01)
         np.testing.assert_allclose(found, expected, rtol=0.01, atol=1e-9)
+
+
+def test_a_course_of_likely_solutions_is_that_of_the_inverse_of_each_system() -> None:
+    rng = np.random.default_rng(17)
+    places = rng.uniform(-1.0, 1.0, (12, 2))
+    trend = trend_of(places, 6)
+    deviations = rng.normal(size=(12, 2))
+    variances = rng.uniform(0.5, 2.0, 12)
+    correlations = [matern_correlations(places, places, (length, 0.5)) for length in (0.3, 0.9)]
+    ratios = (0.5, 2.0)
+    seen = Whitened.of([Spectrum.of(K, variances, (1.0, 0.5), 1.5) for K in correlations], ratios,
+                       trend, deviations)
+    # An affine trend that nothing shrinks, without columns of higher degree, and a shrunken one.
+    precisions = np.array([[0.0] * 3 + [np.inf] * 3, [0.0] * 3 + [7.0] * 3])
+    noise = rng.uniform(size=(2, 2))
+    course = seen.courses([LikelySolutions(1, 1.0, np.array([0, 1]), precisions, noise, noise)])[0]
+    explained = np.zeros((2, 18, 18))
+    for i, columns in enumerate((3, 6)):
+        S = np.diag(variances) + ratios[i]**2 * correlations[1]
+        F = trend[:, :columns]
+        inverse = np.linalg.inv(np.block([[S, F], [F.T, -np.diag(precisions[i, :columns])]]))
+        scale = np.append(np.full(12, ratios[i]**2), np.ones(columns))
+        solution = scale[:, None] * inverse[:, :12] @ deviations
+        np.testing.assert_allclose(course.means[i][:12 + columns], solution, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(course.means[i][12 + columns:], 0.0, atol=1e-12)
+        explained[:, :12 + columns, :12 + columns] += (
+            noise[:, i, None, None] * scale[:, None] * inverse * scale)
+    np.testing.assert_allclose(course.explained, explained, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(course.variance, noise @ np.square(ratios))
 
 
 def test_few_points_of_unknown_noise_say_that_they_do_not_tell_it_from_deformation() -> None:

@@ -33,7 +33,7 @@ prior is termsel's own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,8 +50,10 @@ from termsel.fitting.misfit import (
     MISFIT_RATIOS,
     NEGLIGIBLE_SHARE,
     Course,
+    LikelySolutions,
     NoisePrior,
     Spectrum,
+    Whitened,
     matern_correlations,
     rows_of_field,
 )
@@ -171,22 +173,6 @@ class Shrinkages:
 
 
 @dataclass(frozen=True, eq=False)
-class Whitened:
-    """Monomials F and deviations z of the control as a field sees them, of some ratios to noise.
-
-    `along` (n, f + 2) are F and z in the V of the spectrum, where the covariances S = N + ratio^2 K
-    are diagonal, the `variances` (r, n); `products` (r, f + 2, f + 2) are (F, z)' S^-1 (F, z). One
-    decomposition of K serves all ratios, and all there is to know of a field.
-    """
-
-    spectrum: Spectrum
-    ratios: tuple[float, ...]
-    variances: FloatArray
-    along: FloatArray
-    products: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
 class Control:
     """Control points, and what is tried on them, in scaled coordinates."""
 
@@ -221,108 +207,83 @@ class Control:
                    prior.relative_variances(len(points)), np.geomspace(low, high, count),
                    Shrinkages.of_all())
 
-    def seen_by(self, field: Field, ratios: tuple[float, ...]) -> Whitened:
-        """Return monomials and deviations of the points, whitened by the covariances of a field.
+    def seen_by(self, fields: Iterable[Field], ratios: tuple[float, ...]) -> Whitened:
+        """Return monomials and deviations of the points, whitened by the covariances of c fields.
 
         There is one covariance N + ratio^2 K for each of the `ratios` (r,), with the relative
         variances N of the points and the correlations K of the field.
         """
-        scale = 1.0 / np.sqrt(self.relative_variances)
-        correlations = matern_correlations(self.positions, self.positions, field.lengths,
-                                           field.smoothness)
-        values, vectors = np.linalg.eigh(correlations * np.outer(scale, scale))
-        spectrum = Spectrum(field.lengths, field.smoothness, np.maximum(values, 0.0),
-                            scale[:, None] * vectors)
-        variances = spectrum.variances(ratios)
-        along = spectrum.vectors.T @ np.column_stack([self.monomials, self.deviations])
-        whitened = along / np.sqrt(variances)[..., None]                     # (r, n, f + 2)
-        return Whitened(spectrum, ratios, variances, along, whitened.swapaxes(1, 2) @ whitened)
+        spectra = []
+        for field in fields:
+            correlations = matern_correlations(self.positions, self.positions, field.lengths,
+                                               field.smoothness)
+            spectra.append(Spectrum.of(correlations, self.relative_variances, field.lengths,
+                                       field.smoothness))
+        return Whitened.of(spectra, ratios, self.monomials, self.deviations)
 
     def log_likelihoods(self, seen: Whitened) -> FloatArray:
-        """Return log p(z, size | rule, ratio, s) of a field for both axes, (q, z, r, 2, s).
+        """Return log p(z, size | rule, ratio, s) of c fields for both axes, (c, q, z, r, 2, s).
 
-        Axes are the rules and sizes of the camera's prior, (q, z), the ratios (r,) of field and
-        noise, line and sample, and the noises (s,). Deviations of the points are normal with the
-        covariance s^2 (N + ratio^2 K) about monomials that shrink towards the prior.
+        Axes are the fields, the rules and sizes of the camera's prior, (q, z), the ratios (r,) of
+        field and noise, line and sample, and the noises (s,). Deviations of the points are normal
+        with the covariance s^2 (N + ratio^2 K) about monomials that shrink towards the prior.
         """
         n, f = self.monomials.shape
         # What affine columns, which nothing shrinks, leave of the others and of the deviations.
-        affine = seen.products[:, :AFFINE_COLUMNS, :AFFINE_COLUMNS]
-        across = seen.products[:, :AFFINE_COLUMNS, AFFINE_COLUMNS:]
-        products = (seen.products[:, AFFINE_COLUMNS:, AFFINE_COLUMNS:]
-                    - across.swapaxes(1, 2) @ np.linalg.solve(affine, across))
+        affine = seen.products[..., :AFFINE_COLUMNS, :AFFINE_COLUMNS]
+        across = seen.products[..., :AFFINE_COLUMNS, AFFINE_COLUMNS:]
+        products = (seen.products[..., AFFINE_COLUMNS:, AFFINE_COLUMNS:]
+                    - across.swapaxes(2, 3) @ np.linalg.solve(affine, across))
         # Of [[A, t], [t', u]], t and u of both axes, the elimination of A leaves the pivots of A
         # and u - t' A^-1 t, which is what no monomial explains. Lower triangles, row by row, of all
-        # systems side by side: (p, q, z, r).
+        # systems of a field side by side: (p, q, z, r).
         curved = f - AFFINE_COLUMNS
         rows, columns = LOWER_TRIANGLE
         diagonal = np.flatnonzero(rows == columns)
         precisions = self.shrinkages.precisions[:, :, AFFINE_COLUMNS:]
-        systems = np.empty((len(rows), *precisions.shape[:2], len(products)))
-        systems[...] = products[:, rows, columns].T[:, None, None]
-        systems[diagonal[:curved]] += np.moveaxis(precisions, 2, 0)[..., None]
-        eliminate(systems.reshape(len(rows), -1), curved)
-        squares = np.moveaxis(np.maximum(systems[diagonal[curved:]], 0.0), 0, 3)  # (q, z, r, 2)
+        of_fields = np.moveaxis(products[..., rows, columns], 2, 1)          # (c, p, r)
+        systems = np.empty((len(rows), *precisions.shape[:2], of_fields.shape[2]))
+        pivots = np.empty((len(of_fields), len(diagonal), *systems.shape[1:]))
+        for field, triangles in enumerate(of_fields):
+            systems[...] = triangles[:, None, None]
+            systems[diagonal[:curved]] += np.moveaxis(precisions, 2, 0)[..., None]
+            eliminate(systems.reshape(len(rows), -1), curved)
+            pivots[field] = systems[diagonal]
+        squares = np.moveaxis(np.maximum(pivots[:, curved:], 0.0), 1, 4)     # (c, q, z, r, 2)
         # |S|^1/2, but for what all have in common, and |A|^1/2.
-        determinants = 0.5 * (                                               # (q, z, r)
-            np.log(seen.variances).sum(axis=1) + np.log(np.linalg.det(affine))
-            + np.log(systems[diagonal[:curved]]).sum(axis=0))
+        of_field = np.log(seen.variances).sum(axis=2) + np.log(np.linalg.det(affine))  # (c, r)
+        determinants = 0.5 * (of_field[:, None, None]                        # (c, q, z, r)
+                              + np.log(pivots[:, :curved]).sum(axis=1))
         of_prior = self.shrinkages.log_determinants() + self.shrinkages.log_probabilities
-        by_solution = of_prior[:, :, None] - determinants
+        by_solution = of_prior[..., None] - determinants
+        by_noise = by_solution[..., None] - (n - AFFINE_COLUMNS) * np.log(self.noises)
         logs = squares[..., None] * (-0.5 / self.noises**2)
-        logs += by_solution[..., None, None]
-        logs -= (n - AFFINE_COLUMNS) * np.log(self.noises)
+        logs += by_noise[..., None, :]
         return np.asarray(logs)
 
-    def course(self, seen: Whitened, share: FloatArray, relative: FloatArray) -> Course:
-        """Return the solutions of a field, averaged where they are likely.
+    def courses(self, seen: Whitened, shares: FloatArray, relative: FloatArray) -> list[Course]:
+        """Return the solutions of fields, averaged where they are likely.
 
         The probabilities of all combinations, as of `log_likelihoods`, are those of rules and
-        noises, `share` (q, s), times those of sizes and ratios with them, `relative`
-        (q, z, r, 2, s). A solution is a mean (n + f,) at the points and of the monomials; what the
-        points explain of the prior covariance is added up, with its noise. Combinations without a
-        share are skipped.
+        noises, `shares` (c, q, s), times those of sizes and ratios with them, `relative`
+        (c, q, z, r, 2, s). Combinations without a share are skipped.
         """
         # Sums over the noises of probabilities, and of these times the variance of the noise.
         # Ratios first: their solutions stand next to each other.
-        by_noise = np.stack([share, share * self.noises**2], axis=2)         # (q, s, 2)
-        sums = (relative.reshape(len(share), -1, len(self.noises)) @ by_noise).reshape(
-            *relative.shape[:4], 2)
-        probabilities, noise = np.moveaxis(sums, (4, 2), (0, 1))             # (r, q, z, 2) each
-        likely = probabilities.max(axis=3) > NEGLIGIBLE_SHARE                # (r, q, z)
-        ratio, rule, size = np.nonzero(likely)                               # (w,) each
-        n, f = self.monomials.shape
-        vectors = seen.spectrum.vectors
-        squared_ratios = np.square(seen.ratios)
-        # S^-1 is diagonal in V: there B = S^-1 F is F divided by the variances, which are those of
-        # the noise for a ratio of 0.
-        factors = squared_ratios[:, None] / seen.variances                   # (r, n)
-        monomials, deviations = np.split(seen.along, [f], axis=1)
-        # A^-1 of all likely rules and sizes, (w, f, f): the rest of M^-1 is linear in it.
-        systems = seen.products[ratio, :f, :f]
-        diagonal_of(systems)[...] += self.shrinkages.precisions[rule, size]
-        of_columns = np.linalg.inv(systems)
-        coefficients = of_columns @ seen.products[ratio, :f, f:]             # (w, f, 2)
-        left = deviations - monomials @ coefficients
-        left *= factors[ratio][..., None]
-        at_points = vectors @ left                                           # (w, n, 2)
-        # M^-1 has the blocks S^-1 - B A^-1 B', B A^-1 and -A^-1.
-        of_ratios = np.zeros((2, len(squared_ratios), len(ratio)))           # (2, r, w)
-        of_ratios[:, ratio, np.arange(len(ratio))] = noise[likely].T
-        inverses = np.tensordot(of_ratios, of_columns, axes=1)               # (2, r, f, f)
-        scaled = factors[..., None] * monomials                              # (r, n, f)
-        gains = scaled @ inverses                                            # (2, r, n, f)
-        along = -np.tensordot(gains, scaled, axes=((1, 3), (0, 2)))          # (2, n, n)
-        noise_of_ratios = of_ratios.sum(axis=2)                              # (2, r)
-        diagonal_of(along)[...] += noise_of_ratios * squared_ratios @ factors
-        explained = np.empty((2, n + f, n + f))
-        explained[:, :n, :n] = vectors @ along @ vectors.T
-        explained[:, :n, n:] = vectors @ gains.sum(axis=1)
-        explained[:, n:, :n] = explained[:, :n, n:].swapaxes(1, 2)
-        explained[:, n:, n:] = -inverses.sum(axis=1)
-        return Course(float(probabilities[..., 0].sum()), seen.spectrum.lengths,
-                      seen.spectrum.smoothness, noise_of_ratios @ squared_ratios, explained,
-                      probabilities[likely].T, np.concatenate([at_points, coefficients], axis=1), f)
+        by_noise = np.stack([shares, shares * self.noises**2], axis=3)       # (c, q, s, 2)
+        sums = (relative.reshape(*shares.shape[:2], -1, len(self.noises)) @ by_noise).reshape(
+            *relative.shape[:5], 2)
+        probabilities, noise = np.moveaxis(sums, (5, 3), (0, 2))             # (c, r, q, z, 2) each
+        is_likely = probabilities.max(axis=4) > NEGLIGIBLE_SHARE             # (c, r, q, z)
+        is_likely[shares.sum(axis=(1, 2)) <= NEGLIGIBLE_SHARE] = False
+        likely = []
+        for field in np.flatnonzero(is_likely.any(axis=(1, 2, 3))).tolist():
+            ratio, rule, size = np.nonzero(is_likely[field])                 # (w,) each
+            likely.append(LikelySolutions(
+                field, float(probabilities[field, ..., 0].sum()), ratio,
+                self.shrinkages.precisions[rule, size],
+                probabilities[field, is_likely[field]].T, noise[field, is_likely[field]].T))
+        return seen.courses(likely) if likely else []
 
 
 def share_of_courses(n: int) -> float:
@@ -355,44 +316,41 @@ def camera_courses(points: Points, pixel: float) -> CameraCourses | None:
     without = np.maximum(1.0 - by_ratio.sum(axis=0, keepdims=True), np.finfo(float).tiny)
     logs = []
     grids = []
-    for field, ratios, probabilities in [
-            (Field(1.0, LENGTHS[0], SMOOTHNESSES[0]), (0.0,), without),
-            *((field, CAMERA_RATIOS, field.probability * by_ratio) for field in _fields())]:
+    for fields, ratios, probabilities in [
+            ([Field(1.0, LENGTHS[0], SMOOTHNESSES[0])], (0.0,), without),
+            *((_fields(smoothness), CAMERA_RATIOS, by_ratio) for smoothness in SMOOTHNESSES)]:
         # The noise is that of both axes, and so is whether there is a field.
-        of_field = probabilities.sum(axis=0)
-        seen = control.seen_by(field, ratios)
+        of_all_ratios = probabilities.sum(axis=0)
+        seen = control.seen_by(fields, ratios)
         relative = control.log_likelihoods(seen)
-        relative += np.log(probabilities / of_field)[:, None]
-        largest = relative.max(axis=(1, 2), keepdims=True)
+        relative += np.log(probabilities / of_all_ratios)[:, None]
+        largest = relative.max(axis=(2, 3), keepdims=True)
         relative -= largest
         np.exp(relative, out=relative)
-        sums = relative.sum(axis=(1, 2))                                               # (q, 2, s)
-        by_noise = np.log(sums) + largest[:, 0, 0]
-        logs.append(np.log(of_field / len(by_noise)) + prior.log_probability(control.noises)
-                    + by_noise.sum(axis=1))
-        relative /= sums[:, None, None]
+        sums = relative.sum(axis=(2, 3))                                            # (c, q, 2, s)
+        by_noise = np.log(sums) + largest[:, :, 0, 0]
+        of_fields = np.multiply.outer([field.probability for field in fields], of_all_ratios)
+        logs.append(np.log(of_fields / by_noise.shape[1])[:, None]
+                    + prior.log_probability(control.noises) + by_noise.sum(axis=2))
+        relative /= sums[:, :, None, None]
         grids.append((seen, relative))
-    shares = np.exp(np.array(logs) - np.logaddexp.reduce(logs, axis=None))             # (c, q, s)
+    all_logs = np.concatenate(logs)                                                    # (., q, s)
+    shares = np.exp(all_logs - np.logaddexp.reduce(all_logs, axis=None))
     if not np.isfinite(shares).all():
         return None
-    courses = tuple(control.course(seen, share, relative)
-                    for share, (seen, relative) in zip(shares, grids, strict=True)
-                    if share.sum() > NEGLIGIBLE_SHARE)
-    return CameraCourses(control.to_image, control.positions,
-                         tuple(course for course in courses if len(course.means)),
+    courses: list[Course] = []
+    ends = np.cumsum([len(of_stack) for of_stack in logs])[:-1]
+    for share, (seen, relative) in zip(np.split(shares, ends), grids, strict=True):
+        courses += control.courses(seen, share, relative)
+    return CameraCourses(control.to_image, control.positions, tuple(courses),
                          float(shares.sum(axis=(0, 1)) @ control.noises**2))
 
 
-def diagonal_of(matrices: FloatArray) -> FloatArray:
-    """Return the diagonals of matrices (..., m, m), which can be written to, (..., m)."""
-    return np.asarray(np.einsum("...ii->...i", matrices))
-
-
-def _fields() -> Iterator[Field]:
-    """Yield all fields: of what shakes in time, and of what is alike in line and sample."""
+def _fields(smoothness: float) -> list[Field]:
+    """Return all fields of a smoothness: of what shakes in time, and is alike in both axes."""
+    fields = []
     for probability, lengths in ((TIME_PROBABILITY, TIME_LENGTHS),
                                  (1.0 - TIME_PROBABILITY, LENGTHS)):
         each = probability / (len(lengths) * len(SMOOTHNESSES))
-        for pair in lengths:
-            for smoothness in SMOOTHNESSES:
-                yield Field(each, pair, smoothness)
+        fields += [Field(each, pair, smoothness) for pair in lengths]
+    return fields

@@ -57,8 +57,11 @@ from termsel.fitting.misfit import (
     NEGLIGIBLE_SHARE,
     TREND_COLUMNS,
     Course,
+    LikelySolutions,
     NoisePrior,
+    Spectrum,
     System,
+    Whitened,
     determined_trend,
     matern_correlations,
     ratio_probabilities,
@@ -141,53 +144,27 @@ class Solutions:
         The control may show a mean of the field about its position. `discrepancies` (n,) are the
         variances of that mean less the field at the position, divided by the field's variance.
         """
-        is_likely = self.shares.sum(axis=3).max(axis=1) > NEGLIGIBLE_SHARE             # (t, r)
-        shares = self.shares * is_likely[:, None, :, None]
-        noise = shares @ system.noises**2                                              # (t, 2, r)
-        correlation = matern_correlations(
-            system.positions, system.positions, self.lengths, self.smoothness)
-        correlation[np.diag_indices_from(correlation)] += discrepancies
-        variances = np.diag(system.relative_variances)
+        probabilities = self.shares.sum(axis=3)                                        # (t, 2, r)
+        noise = self.shares @ system.noises**2                                         # (t, 2, r)
+        degree, ratio = np.nonzero(probabilities.max(axis=1) > NEGLIGIBLE_SHARE)       # (w,) each
+        weights = probabilities[degree, :, ratio].T                                    # (2, w)
+        noise_of_likely = noise[degree, :, ratio].T
+        # The noise by the variance of a coefficient beforehand: of the affine ones it is 0.
         trend_variances = TREND_SIZES**2 * (system.residuals**2).mean()
-        n, f = system.trend.shape
-        explained = np.zeros((2, n + f, n + f))
-        means = np.zeros((*is_likely.shape, n + f, 2))
-        for i in np.flatnonzero(is_likely.any(axis=0)):
-            squared_ratio = self.ratios[i]**2
-            inverse = np.asarray(np.linalg.inv(variances + squared_ratio * correlation))
-            for j in np.flatnonzero(is_likely[:, i]):
-                columns = TREND_COLUMNS[j]
-                scale = np.concatenate([np.full(n, squared_ratio), np.ones(columns)])
-                # s^2 by the variance of a coefficient beforehand: 0 of the affine ones.
-                precisions = np.zeros(columns)
-                precisions[TREND_COLUMNS[0]:] = (
-                    noise[j, :, i].sum()
-                    / shares[j, :, i].sum() / trend_variances[:columns - TREND_COLUMNS[0]])
-                scaled = scale[:, None] * _with_trend(
-                    inverse, system.trend[:, :columns], precisions)
-                means[j, i, :n + columns] = scaled[:, :n] @ system.residuals
-                scaled *= scale
-                explained[:, :n + columns, :n + columns] += noise[j, :, i, None, None] * scaled
-        weights = np.moveaxis(shares.sum(axis=3), 1, 0)                                # (2, t, r)
-        return Course(float(shares[:, 0].sum()), self.lengths, self.smoothness,
-                      noise.sum(axis=0) @ np.square(self.ratios), explained,
-                      weights[:, is_likely], means[is_likely], f)
-
-
-def _with_trend(inverse: FloatArray, trend: FloatArray, precisions: FloatArray) -> FloatArray:
-    """Return [[S, T], [T', -D]]^-1, (n + f, n + f), from S^-1, the trend T (n, f) and diagonal D.
-    """
-    # With B = S^-1 T and G = (T' B + D)^-1 the blocks are S^-1 - B G B', B G and -G.
-    B = inverse @ trend
-    G = np.linalg.inv(trend.T @ B + np.diag(precisions))
-    BG = B @ G
-    n, f = trend.shape
-    blocks = np.empty((n + f, n + f))
-    blocks[:n, :n] = inverse - BG @ B.T
-    blocks[:n, n:] = BG
-    blocks[n:, :n] = BG.T
-    blocks[n:, n:] = -G
-    return blocks
+        columns = np.arange(system.trend.shape[1])
+        curved = columns >= TREND_COLUMNS[0]
+        precisions = np.zeros((len(ratio), len(columns)))
+        precisions[:, curved] = np.divide.outer(
+            noise_of_likely.sum(axis=0) / weights.sum(axis=0), trend_variances[:curved.sum()])
+        precisions[columns >= np.array(TREND_COLUMNS)[degree, None]] = np.inf
+        correlations = matern_correlations(
+            system.positions, system.positions, self.lengths, self.smoothness)
+        correlations[np.diag_indices_from(correlations)] += discrepancies
+        spectrum = Spectrum.of(correlations, system.relative_variances, self.lengths,
+                               self.smoothness)
+        seen = Whitened.of([spectrum], self.ratios, system.trend, system.residuals)
+        return seen.courses([LikelySolutions(
+            0, float(probabilities[:, 0].sum()), ratio, precisions, weights, noise_of_likely)])[0]
 
 
 @dataclass(frozen=True, eq=False)

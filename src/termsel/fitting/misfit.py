@@ -47,12 +47,13 @@ termsel's own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import erf
 
 import numpy as np
 
+from termsel.adjustment.bayesian.bidiagonal import sweep
 from termsel.data.features import FloatArray, IntArray
 
 MISFIT_LENGTHS = ((0.07, 0.07), (0.2, 0.2), (0.4, 0.4), (0.8, 0.8),
@@ -254,9 +255,122 @@ class Spectrum:
     values: FloatArray  # (n,)
     vectors: FloatArray  # (n, n): V
 
+    @classmethod
+    def of(cls, correlations: FloatArray, relative_variances: FloatArray,
+           lengths: tuple[float, float], smoothness: float) -> Spectrum:
+        """Return the spectrum of correlations (n, n) and relative variances (n,)."""
+        scale = 1.0 / np.sqrt(relative_variances)
+        values, vectors = np.linalg.eigh(correlations * np.outer(scale, scale))
+        return cls(lengths, smoothness, np.maximum(values, 0.0), scale[:, None] * vectors)
+
     def variances(self, ratios: tuple[float, ...]) -> FloatArray:
         """Return v = 1 + ratio^2 `values` for each of r ratios, (r, n)."""
         return 1.0 + np.multiply.outer(np.square(ratios), self.values)
+
+
+@dataclass(frozen=True, eq=False)
+class Whitened:
+    """A trend F and deviations z of the control as c fields see them, of some ratios to noise.
+
+    `along` (c, n, f + 2) are F and z in the V of each spectrum, where the covariances
+    S = N + ratio^2 K are diagonal, the `variances` (c, r, n); `products` (c, r, f + 2, f + 2) are
+    (F, z)' S^-1 (F, z). One decomposition of K serves all ratios, and all there is to know of a
+    field.
+    """
+
+    spectra: tuple[Spectrum, ...]
+    ratios: tuple[float, ...]
+    variances: FloatArray
+    along: FloatArray
+    products: FloatArray
+
+    @classmethod
+    def of(cls, spectra: Iterable[Spectrum], ratios: tuple[float, ...], trend: FloatArray,
+           deviations: FloatArray) -> Whitened:
+        """Return the trend (n, f) and the deviations (n, 2), whitened for each of r ratios."""
+        spectra = tuple(spectra)
+        variances = np.array([spectrum.variances(ratios) for spectrum in spectra])
+        columns = np.concatenate([trend, deviations], axis=1)
+        along = np.array([spectrum.vectors.T @ columns for spectrum in spectra])
+        whitened = along[:, None] / np.sqrt(variances)[..., None]            # (c, r, n, f + 2)
+        return cls(spectra, ratios, variances, along, whitened.swapaxes(2, 3) @ whitened)
+
+    def courses(self, likely: Sequence[LikelySolutions]) -> list[Course]:
+        """Return the courses of some fields, each by all of its solutions that are likely.
+
+        With the diagonal D of the precisions, A = F' S^-1 F + D.
+        """
+        f = self.along.shape[2] - 2
+        # Lower triangles of [[A, .], [z' S^-1 F, .]], row by row, of all w solutions side by side.
+        rows, columns = np.tril_indices(f + 2)
+        entry = np.empty((f + 2, f + 2), dtype=np.intp)
+        entry[rows, columns] = entry[columns, rows] = np.arange(len(rows))
+        products = np.ascontiguousarray(np.moveaxis(self.products[..., rows, columns], 2, 1))
+        courses = []
+        for some in likely:
+            systems = products[some.field].take(some.ratio, axis=1)          # (p, w)
+            systems[np.diag(entry)[:f]] += some.precisions.T
+            sweep(systems, f, np.empty((f + 2, len(some.ratio))))
+            courses.append(self._course(some, systems[entry[:f, f:]], -systems, entry[:f, :f]))
+        return courses
+
+    def _course(self, likely: LikelySolutions, coefficients: FloatArray, inverse: FloatArray,
+                entry: IntArray) -> Course:
+        """Return the course of a field, from A^-1 F' S^-1 z (f, 2, w) and A^-1 of its solutions.
+
+        `inverse` (p, w) holds A^-1 where `entry` (f, f) says. With M = [[S, F], [F', -D]] and
+        B = S^-1 F, the inverse of M has the blocks S^-1 - B A^-1 B', B A^-1 and -A^-1.
+        """
+        spectrum = self.spectra[likely.field]
+        vectors = spectrum.vectors
+        trend = self.along[likely.field, :, :-2]
+        deviations = self.along[likely.field, :, -2:]
+        n, f = trend.shape
+        squared_ratios = np.square(self.ratios)
+        # S^-1 is diagonal in V: there B is F divided by the variances, which are those of the noise
+        # for a ratio of 0.
+        factors = squared_ratios[:, None] / self.variances[likely.field]     # (r, n)
+        left = deviations[..., None] - (trend @ coefficients.reshape(f, -1)).reshape(n, 2, -1)
+        left *= factors.T[:, None, likely.ratio]
+        at_points = (vectors @ left.reshape(n, -1)).reshape(left.shape)      # (n, 2, w)
+        # All else is linear in A^-1, of which the sum over the solutions of a ratio is enough.
+        of_ratios = np.zeros((2, len(squared_ratios), len(likely.ratio)))    # (2, r, w)
+        of_ratios[:, likely.ratio, np.arange(len(likely.ratio))] = likely.noise
+        inverses = (of_ratios @ inverse.T)[..., entry]                       # (2, r, f, f)
+        scaled = factors.T[..., None] * trend[:, None]                       # (n, r, f)
+        gains = np.empty((2, *scaled.shape))
+        np.matmul(np.moveaxis(scaled, 1, 0), inverses, out=np.moveaxis(gains, 2, 1))
+        along = -gains.reshape(2, n, -1) @ scaled.reshape(n, -1).T           # (2, n, n)
+        noise_of_ratios = of_ratios.sum(axis=2)                              # (2, r)
+        np.einsum("aii->ai", along)[...] += noise_of_ratios * squared_ratios @ factors
+        explained = np.empty((2, n + f, n + f))
+        explained[:, :n, :n] = vectors @ along @ vectors.T
+        explained[:, :n, n:] = vectors @ gains.sum(axis=2)
+        explained[:, n:, :n] = explained[:, :n, n:].swapaxes(1, 2)
+        explained[:, n:, n:] = -inverses.sum(axis=1)
+        means = np.concatenate([at_points, coefficients])                    # (n + f, 2, w)
+        return Course(likely.share, spectrum.lengths, spectrum.smoothness,
+                      noise_of_ratios @ squared_ratios, explained, likely.weights,
+                      means.transpose(2, 0, 1), f)
+
+
+@dataclass(frozen=True, eq=False)
+class LikelySolutions:
+    """The w solutions of a field that are not negligible: each has a ratio and a trend.
+
+    `field` is the number of the field among those that are seen, `ratio` (w,) are the numbers of
+    the solutions' ratios, and `precisions` (w, f) are those of the trend's coefficients beforehand,
+    1 / variance by that of the noise, infinite where there is no such column. By line and sample,
+    (2, w), `weights` are the solutions' probabilities, and `noise` these times the expected
+    variance of the noise. `share` is the probability of all together.
+    """
+
+    field: int
+    share: float
+    ratio: IntArray
+    precisions: FloatArray
+    weights: FloatArray
+    noise: FloatArray
 
 
 @dataclass(frozen=True, eq=False)

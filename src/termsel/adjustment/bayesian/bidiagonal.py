@@ -155,6 +155,42 @@ def _subtract_products(x: FloatArray, y: FloatArray, target: FloatArray) -> None
 
 
 @_compiled
+def sweep(systems: FloatArray, count: int, work: FloatArray) -> None:
+    """Sweep the first `count` rows of symmetric matrices [[A, B'], [B, C]], in place.
+
+    Of A, which is positive definite, the result is -A^-1, of B it is B A^-1, and of C the Schur
+    complement C - B A^-1 B'. `systems` (p, l) has the p entries of the lower triangles of l
+    matrices, row by row; `work` (size, l) is scratch. An infinite entry on the diagonal of A leaves
+    its row and column out.
+    """
+    size = len(work)
+    for k in range(count):
+        pivot = systems[k * (k + 1) // 2 + k]
+        # Column k by the pivot: the row of the lower triangle up to it, and its column below.
+        for i in range(size):
+            if i != k:
+                high = max(i, k)
+                column = systems[high * (high + 1) // 2 + min(i, k)]
+                for lane in range(len(pivot)):
+                    work[i, lane] = column[lane] / pivot[lane]
+        # a_ij becomes a_ij - a_ik a_jk / a_kk.
+        for i in range(size):
+            for j in range(i + 1):
+                if i != k and j != k:
+                    high = max(j, k)
+                    _subtract_products(work[i], systems[high * (high + 1) // 2 + min(j, k)],
+                                       systems[i * (i + 1) // 2 + j])
+        for i in range(size):
+            if i != k:
+                high = max(i, k)
+                column = systems[high * (high + 1) // 2 + min(i, k)]
+                for lane in range(len(pivot)):
+                    column[lane] = work[i, lane]
+        for lane in range(len(pivot)):
+            pivot[lane] = -1.0 / pivot[lane]
+
+
+@_compiled
 def _sum_squares(rows: FloatArray, first: int, step: int, count: int, total: FloatArray) -> None:
     """Sum the squares of `count` rows (., g), each `step`-th from `first` on, into `total` (g,)."""
     total[:] = 0.0
