@@ -166,7 +166,7 @@ class Explained:
     # For programs alone: with it a checker of types would take any name.
     if not TYPE_CHECKING:
         def __getattr__(self, name: str) -> object:
-            """Raise AttributeError with what is meant by a name."""
+            """Raise AttributeError with what is meant by a name, or the own error of a property."""
             cls = type(self)
             # An attribute that is there has failed itself; its own error says why.
             if hasattr(cls, name):
@@ -182,7 +182,7 @@ class Explained:
 
 
 def missing_name_message(module: str, name: str, names: Iterable[str]) -> str:
-    """Return the message for a name that a module does not have, with the one that is meant."""
+    """Return the message for a name that a module does not have, with those that may be meant."""
     known = sorted(names)
     similar = likely_names(name, known)
     also_called: Mapping[str, str] = _ALSO_CALLED if module == "termsel" else {}

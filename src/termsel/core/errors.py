@@ -174,9 +174,10 @@ def unknown_name_error(
         summaries: Mapping[str, str] = MappingProxyType({})) -> TermselError:
     """Return the error for a name that is not among the known names of its kind.
 
-    Its hint asks whether one of up to three similar names was meant, lists the known ones unless
-    there is a similar name among very many, and ends with `hint`. Where no name is similar, those
-    are meant whose `summaries` have the word, as the genetic algorithm is called ga.
+    Its hint asks whether one of up to three similar names was meant, lists up to `MOST_NAMED` known
+    ones unless there is a similar name among very many, and ends with `hint`. Where no name is
+    similar, those are meant whose `summaries` have the word, as the genetic algorithm is called ga.
+    For the degree of a polynomial, such as cubic, the hint names the model and its option instead.
     """
     names = sorted(set(names_known))
     similar_names = likely_names(name, names) or _names_by_word(name, summaries)
@@ -200,8 +201,8 @@ def unknown_name_error(
 def likely_names(name: str, names: Sequence[str]) -> list[str]:
     """Return up to three names that may be meant: the nearest, and those that differ by words.
 
-    Without any, the only name of one word with the same first letters, such as popsize for
-    "population".
+    Without any, those whose letters were exchanged, else the only name of one word with the same
+    first letters, such as population for "popsize". Upper and lower case count as the same.
     """
     by_small_letters = {known.lower(): known for known in names}
     small = name.lower()

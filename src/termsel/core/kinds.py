@@ -73,7 +73,10 @@ def kind_of(name: str, hint: Any) -> Kind | None:
 
 
 def _kind_of_union(name: str, hints: Sequence[Any]) -> Kind | None:
-    """Return the kind of values that are of one of several; None is no kind to name."""
+    """Return the kind of values that are of one of several types; None if one of these has none.
+
+    A value that may also be None is not said to be: nobody has to give it.
+    """
     named = [hint for hint in hints if hint is not types.NoneType]
     # A union within a union is dissolved in it.
     of_arrays = get_args(ArrayLike)
@@ -144,7 +147,7 @@ def _kind_of_class(name: str, hint: Any) -> Kind | None:
 
 
 def _is_numeric(value: object) -> bool:
-    """Return whether a value is an array of numbers, or numpy makes one of it."""
+    """Return whether a value is an array of numbers, or numpy makes one of it; None is not."""
     if isinstance(value, np.ndarray) and value.dtype.kind in _NUMERIC:
         return True
     try:

@@ -29,7 +29,10 @@ def lazily(file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], li
     imported, listed, public = lazy_loader.attach("termsel", submod_attrs=names)
 
     def attribute(name: str) -> Any:
-        """Return a public name, imported when it is first used."""
+        """Return a public name, imported when it is first used.
+
+        Raises AttributeError, with what may be meant, for a name that is not public.
+        """
         if name in public or name.startswith("_"):
             return imported(name)
         module = ".".join(Path(file).with_suffix("").parts[-3:]).removesuffix(".__init__")

@@ -331,7 +331,10 @@ def _has_its_pixels(raster: Any) -> bool:
 
 
 def _share_of_blocks(raster: Any) -> float:
-    """Return the share of the blocks of a TIFF that are in its file, of many those on a grid."""
+    """Return the share of the blocks of a TIFF that are in its file.
+
+    Of many blocks those on a regular grid are looked at, in each band.
+    """
     present: list[bool] = []
     for band, (lines, samples) in enumerate(raster.block_shapes, 1):
         rows = -(-raster.height // lines)

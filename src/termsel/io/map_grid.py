@@ -113,7 +113,8 @@ def map_crs(result: Result, crs: str | None) -> str:
 def _metric_crs(result: Result) -> str:
     """Return the CRS of the control if it is in metres, else the zone of UTM, or a polar one.
 
-    On another body than the Earth a transverse Mercator projection takes the place of UTM.
+    On another body than the Earth a transverse Mercator projection takes the place of UTM. Warns of
+    an area too wide for it. Raises TermselError where the CRS of the control cannot be transformed.
     """
     control_crs = result.features.crs
     # A unit that is not known (None) is taken for the metre.

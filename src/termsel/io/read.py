@@ -360,7 +360,8 @@ def _with_image_size(features: FeatureSet, image: Path | str | None, size: tuple
 
     Without an image or its size they are returned as they are. Raises TermselError for a feature
     outside the image; those that are off, by their own role or by `off` (ids with commas between
-    them), may lie there. Warns where the image has georeferencing that contradicts the features.
+    them), may lie there. Warns of an image that is incomplete, whose georeferencing contradicts the
+    features, or that other programs show turned.
     """
     if image is None or size is None:
         return features
@@ -424,8 +425,9 @@ def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any],
                 z_unit: str | None = None) -> FeatureSet:
     """Return the features of a table in Python, such as a DataFrame, checked as those of a file.
 
-    `swapped` is what was asked for of columns that are exchanged, None for nothing. Raises
-    TermselError for options that only files have, a missing CRS, and coordinates that cannot be.
+    `swapped` is what was asked for of columns that are exchanged, None for nothing. Doubts about
+    columns and coordinates are logged. Raises TermselError for options that only files have, a
+    missing CRS, and coordinates that cannot be.
     """
     from termsel.formats.readers.frames import read_frame
 
@@ -862,7 +864,8 @@ def _with_areas(features: FeatureSet, areas: FeatureSet, path: Path) -> FeatureS
 
 
 def _refuse_idle(options: Mapping[str, Any], reader_of: Mapping[Path, Reader]) -> None:
-    """Raise TermselError for an option of reading that no reader of these files has."""
+    """Raise TermselError for an option of reading, or a declared column, that no reader here takes.
+    """
     for key in options:
         if not any(key in reader.options for reader in reader_of.values()):
             names = dict.fromkeys(reader.name for reader in reader_of.values())

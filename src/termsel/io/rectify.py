@@ -214,7 +214,9 @@ def _write_source(result: Result, picture: Picture, vrt: Path, surface: Dem | fl
     """Write the virtual raster that is warped, and return its path and the options of the warper.
 
     The raster has an RPC where one is near enough to the model, and the options then say what
-    heights go with it. Else there are no options, None: positions come from a grid of the map.
+    heights go with it: a number, or a raster, which is written next to it where heights have to be
+    converted. Else there are no options, None, which is logged: positions come from a grid of the
+    map.
     """
     # By an RPC the warper would put the sky, mirrored, on places behind the camera.
     level = float(result.fit.ground_box()[0][2]) if isinstance(surface, Dem) else surface

@@ -81,7 +81,10 @@ def lock_output_folder(folder: Path, *, overwrite: bool = False) -> Iterator[Non
 
 
 def _refuse_taken(folder: Path, overwrite: bool) -> None:
-    """Raise TermselError for a folder with files that a result would replace."""
+    """Raise TermselError for the folder of a study, or with files that a result would replace.
+
+    Those of an earlier result may be replaced with `overwrite`.
+    """
     if is_there(folder / JOURNAL):
         raise TermselError("this is the folder of a study, which takes no further result",
                            file=folder, hint="Choose another --out.")

@@ -57,7 +57,8 @@ def uncertain_between_points(fitted: Fit, predicted: Predicted) -> Iterator[str]
     """Yield a sentence if the model is less certain within the hull of its points than its RMSE.
 
     The root mean square of the standard deviations over the hull is held against the upper end of
-    the interval of the RMSE.
+    the interval of the RMSE. There is no sentence with lines, with few points, and with many that
+    cover their hull evenly.
     """
     points = fitted.control.take(fitted.used).points
     if len(points) < MIN_POINTS or len(fitted.control.lines):
@@ -84,7 +85,10 @@ def uncertain_between_points(fitted: Fit, predicted: Predicted) -> Iterator[str]
 
 
 def checked_next_to_control(control: FeatureSet, independent: Points) -> Iterator[str]:
-    """Yield a sentence if most independent check points lie next to control points."""
+    """Yield a sentence if most independent check points lie next to control points.
+
+    There is none with lines, and with few points of either kind.
+    """
     count = len(independent)
     if count < MIN_CHECK_POINTS or len(control.points) < MIN_POINTS or len(control.lines):
         return

@@ -532,7 +532,11 @@ RPC_CORRECTIONS = "corrections of the RPC"
 
 
 def _why_rpc_unused(data: FitData, auto: Auto, fitted: Fit | None = None) -> str:
-    """Return why an RPC that is given is not used; "" where a note says which method failed."""
+    """Return why an RPC that is given is not used, as a sentence.
+
+    It is "" without an RPC, and where a note says which method failed. `fitted` is the fit of the
+    method that was chosen, None where there is none.
+    """
     if data.features.rpc is None:
         return ""
     # Other methods that one point is enough for know a camera or an orbit, and no RPC.

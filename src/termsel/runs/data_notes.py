@@ -302,7 +302,8 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
 def uncertain_corners(fitted: Fit, rmse: float) -> Iterator[str]:
     """Yield a sentence if the model is far more uncertain at a corner of the image than its RMSE.
 
-    The RMSE [px] is that of places like the control's.
+    The RMSE [px] is that of places like the control's. Corners next to the control's hull do not
+    count, and no corner does where the size of the image is not known.
     """
     if fitted.control.image_size is None:
         return
@@ -350,7 +351,11 @@ def _note_on_two_groups(features: FeatureSet) -> Iterator[str]:
 
 
 def _note_on_rpc_heights(features: FeatureSet, rpc: Rpc) -> Iterator[str]:
-    """Yield a note if the heights of the features are far outside those of their RPC."""
+    """Yield notes on heights that do not suit the RPC of the features; none without a CRS.
+
+    They are heights of a raster that count from another ellipsoid (see `note_on_ellipsoid`), and
+    heights far outside the range of the RPC.
+    """
     if normalise(features.crs) == LOCAL:
         return
     ground = features.ground_vertices()

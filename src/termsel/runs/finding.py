@@ -134,7 +134,10 @@ def plugins_of(request: Request, **replaced: Any) -> dict[str, dict[str, str]]:
 
 
 def _plugin_of(component: Any) -> dict[str, str]:
-    """Return name and version of the plugin that provides a component; {} for termsel's own."""
+    """Return name and version of the plugin that provides a component; {} for termsel's own.
+
+    A component of this session has no version, and its class by module and name instead.
+    """
     if isinstance(component, type) and is_own(component):  # without a look at all the others
         return {}
     # By its object: two plugins may give the same name.

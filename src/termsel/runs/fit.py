@@ -118,7 +118,7 @@ def _with_heights(features: FeatureSet) -> FeatureSet:
 
 
 def _refuse_unknown(options: Mapping[str, Any], model: type[SensorModel]) -> None:
-    """Raise TermselError for an option that the model has not; it names the model that has it."""
+    """Raise TermselError for an option that the model has not, with models that have it, if any."""
     names = [option.name for option in model.declared_options]
     for key in options:
         if key not in names:

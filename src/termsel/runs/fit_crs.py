@@ -91,9 +91,9 @@ def with_fit_crs(choice: str, observations: Observations, model: SensorModel) ->
 
 
 def fit_crs_of(choice: str, control: FeatureSet) -> str:
-    """Return the name of the CRS in which to fit control that has a CRS.
+    """Return the CRS in which to fit control that has a CRS, by its name or text.
 
-    The choice is "geodetic", "projected", "geocentric", or a CRS by its own name. Raises
+    The choice is one of `SYSTEMS`, such as "projected", or a CRS by its own name. Raises
     TermselError if the choice is no CRS, or none for this control.
     """
     if choice not in SYSTEMS:
@@ -140,7 +140,8 @@ def _control_on_globe(control: FeatureSet) -> FloatArray:
 def note_on_pole(features: FeatureSet, control: FeatureSet) -> str:
     """Return a note on control around a pole, with the option that fits it better.
 
-    Returns "" for control elsewhere.
+    Returns "" for control elsewhere, for other coordinates than degrees, and where a CRS of the fit
+    is chosen already.
     """
     crs = normalise(features.crs)
     if features.fit_crs or not is_in_degrees(features.crs) or kind_of(crs) != "geographic":
@@ -160,8 +161,9 @@ def note_on_pole(features: FeatureSet, control: FeatureSet) -> str:
 def with_polar(observations: Observations) -> Observations:
     """Return observations to be fitted in a polar projection where control is around a pole.
 
-    Only where no CRS is asked for, and the best of the plain and regularised models predicts better
-    there, by leave-one-out over control and check, than in the coordinates as they are.
+    Only where no CRS is asked for and no RPC given, and the best of the plain and regularised
+    models predicts better there, by leave-one-out over control and check, than in the coordinates
+    as they are. Else the same observations are returned.
     """
     features = observations.together
     if (features.fit_crs or features.rpc is not None

@@ -362,9 +362,10 @@ def _options_by_parts(recipe: Recipe, components: Mapping[str, Any],
 
 
 def _refuse_of_others(settings: Mapping[str, Any], names: Collection[str]) -> None:
-    """Refuse an option that only models, solvers or criteria have which are not used, by name.
+    """Raise TermselError for an option of a model, solver or criterion that is not used.
 
-    `names` are those of the options of the parts that are used.
+    Also for a misspelling of one. `names` are those of the options of the parts that are used.
+    Other unknown options pass.
     """
     for key in settings:
         if key in names or "." in key:

@@ -399,7 +399,8 @@ def with_problem_built(task: Task) -> Task:
 def observe(request: Request, fewest: int = MIN_CONTROL) -> Observations:
     """Return the features, each in its role, in the CRS of the fit.
 
-    Raises TermselError if fewer than `fewest` are control, or a model lacks heights.
+    Blank roles are assigned by place. Raises TermselError if fewer than `fewest` are control, if a
+    model lacks heights, if the RPC was made from these points, and as `with_fit_crs` does.
     """
     request = with_shares(request)
     recipe = request.recipe
@@ -520,8 +521,9 @@ _NEARER = 0.5
 def part_of_rpc(control: FeatureSet) -> ImagePart | None:
     """Return which part of its RPC's image the image of control is; None if it is the whole.
 
-    Raises TermselError if the heights of control refer to another surface than the ellipsoid, and
-    PROJ cannot convert them.
+    None also without an RPC or a CRS, and where heights are outside the range of the RPC, which
+    moves the points. Raises TermselError if the heights of control refer to another surface than
+    the ellipsoid and PROJ cannot convert them, and if they seem to be feet.
     """
     rpc = control.rpc
     if rpc is None or normalise(control.crs) == LOCAL:

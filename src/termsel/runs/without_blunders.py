@@ -31,8 +31,9 @@ def search_without_blunders(task: Task, auto: Auto, verdict: Verdict | None = No
 
     Where the task's option "blunders" says so, blunders can neither be selected, unless the user
     forces them on, nor judge. Where no selection without them satisfies all conditions, the search
-    is made with them. `verdict` is that of `judge_features`, which is asked if it is None; `how`
-    are arguments of `termsel.search`.
+    is made with them, unless it was stopped or has a limit of time. A note of the search says which
+    it was. `verdict` is that of `judge_features`, which is asked if it is None; `how` are arguments
+    of `termsel.search`.
     """
     remaining: Task | None = task
     if task.options["problem"].get("blunders") == "leave-out":

@@ -49,9 +49,9 @@ def app(image: str | None, maps: tuple[str, ...], points: Path | None, lines: Pa
     """Collect control points in the browser, with their quality at every click.
 
     IMAGE is the image to georeference, or with --allow-remote the address of the info.json of an
-    IIIF image; DIR goes on with a session, or shows a result that a run
-    wrote. The page is for this machine alone. Ctrl-C ends it; every change is saved at once, and
-    the same command goes on where it ended.
+    IIIF image; DIR goes on with a session, or shows a result that a run wrote. The page is for this
+    machine alone. Ctrl-C ends it; every change is saved at once, and the same command goes on where
+    it ended.
 
     \b
     Examples:

@@ -66,7 +66,7 @@ def _records_of_table(path: Path, crs: str, size: tuple[int, int] | None) -> lis
 
     If the table has but one pair of coordinates, the records have `ground` or `image` alone, and
     None for the other, which is clicked on the page. Raises TermselError for what is no table of
-    points.
+    points, for a place outside the image of `size`, and for heights in another unit than the CRS's.
     """
     rows = read_cells(path, POINTS, {}).rows
     if not rows:

@@ -326,10 +326,12 @@ class Session:
     def put(self, values: Mapping[str, Any]) -> str:
         """Add or change a feature; return its id.
 
-        `values` has the "id" of a feature, or the "kind" of a new one, which gets an id, and what
-        to set: "image", "map" or "ground", "role", and "name" for another id. A place on the map
-        keeps a height that was given, and else gets that of the DEM. Raises TermselError if there
-        is no such feature, a value is not valid, or the place is outside the image.
+        `values` has the "id" of a feature, or the "kind" of a new one, by default a point, which
+        gets an id; and what to set: "image", "map" or "ground", "role", and "name" for another id.
+        A place on the map keeps a height that was given, and else gets that of the DEM, as a point
+        does whose "ground" has none. A change is saved, can be undone and has all judged again.
+        Raises TermselError if there is no such feature, a value is not valid, or the place is
+        outside the image.
         """
         with self.lock:
             name = values.get("id")

@@ -54,9 +54,9 @@ def certificate_maker(problem: Problem, rooms: Sequence[int],
     """Return a function that makes the certificate of a selection from its genes (g,).
 
     `rooms` are the most terms that a selection may have of each part of the problem. The function
-    returns the content of a certificate that the checker has verified; if the checker refuses it, a
-    warning is logged, and the function returns None. Raises TermselError for a problem that has no
-    certificate, or whose numbers a certificate cannot state.
+    returns the content of a certificate that the checker has verified; where none can be made, it
+    logs a warning and returns None. Raises TermselError for a problem that has no certificate, or
+    whose numbers a certificate cannot state.
     """
     axis_parts = problem.parts()
     if not axis_parts or any(
@@ -131,8 +131,9 @@ def axis_of(name: str, terms: Sequence[str], system: Any, selection: Sequence[in
             room: int, pixels: float) -> dict[str, Any]:
     """Return the system of one axis as a certificate states it, with its best selection and limit.
 
-    Columns are those of allowed terms, numbered anew. The limit is the sum of squares of the
-    selection, lowered by the share `TIE`: the certificate proves that no selection is below it.
+    Columns are those of allowed terms, numbered anew. `room` is the most terms of a selection, and
+    `pixels` how many px an error of 1 is. The limit is the sum of squares of the selection,
+    lowered by the share `TIE`: the certificate proves that no selection is below it.
     """
     if system.forbidden is not None:
         allowed = np.flatnonzero(~system.forbidden)
@@ -175,7 +176,7 @@ def tree_of(axis: dict[str, Any], max_steps: int,
     columns = _columns_of(axis)
     node = checker.root()
     steps: list[Step] = []
-    # The path of the half that is left open.
+    # Marks, in place of a path, a half that is left open; no term has the number -1.
     aside = ((-1, False),)
     todo = [(columns, node, tuple(path))]
     while todo:

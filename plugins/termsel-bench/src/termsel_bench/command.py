@@ -167,6 +167,9 @@ def _measured_sets_like(pattern: str, *, quick: bool) -> list[str]:
 def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, processes: int,
          scheduler: str, folder: Path | None, *, overwrite: bool) -> None:
     """Run methods on sets and print the table; with a folder, write table, page and results there.
+
+    Each set that is finished is told on stderr. Raises TermselError for files that are there and
+    may not be replaced, before anything is run.
     """
     from termsel import require_replaceable
     from termsel_bench.protocol import score_all

@@ -179,7 +179,7 @@ def best_bound(columns: Columns, *, tune: bool = True) -> Bound | None:
 
 
 def _tune_bound(form: _Form, at: Bound) -> Bound:
-    """Return a bound of a larger minimum, by Newton's method from the bound `at`.
+    """Return a bound of a larger minimum, by Newton's method from the bound `at`, if there is one.
 
     What is maximised is the minimum plus a barrier, log det Q, both of which are concave in the
     multipliers. Where the minimum is taken, at z with s'z = 1, its derivative by alpha_j is z'N_j z

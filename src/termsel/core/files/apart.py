@@ -125,7 +125,8 @@ def serve(drivers: tuple[str, ...] = (), remote: bool = False) -> None:
 
     It runs until stdin ends. Each question has a function by name, its arguments, and limits of
     memory and time, so that a hostile file ends this process and not the program. An answer is the
-    value of the function, or the TermselError or MemoryError that it raised.
+    value of the function, or the TermselError or MemoryError that it raised; any other exception
+    ends the process.
     """
     with answer_channel(drivers, remote) as answers:
         while True:
@@ -145,7 +146,7 @@ def serve(drivers: tuple[str, ...] = (), remote: bool = False) -> None:
 
 
 def _limit_process(memory: int, seconds: float) -> None:
-    """Limit memory [bytes] and CPU time of this process from now on; only on Linux."""
+    """Limit the further memory [bytes] and CPU time [s] of this process; only on Linux."""
     if sys.platform != "linux":
         return
     import resource

@@ -225,7 +225,8 @@ def drivers_are_off() -> bool:
 def keep_own_drivers_only() -> Iterator[None]:
     """Turn the drivers that termsel does not use off for good, if GDAL is loaded in the block.
 
-    That is done in processes of termsel; in a program or notebook of the user GDAL stays as it is.
+    Its cache is limited to 256 MB, unless GDAL_CACHEMAX says otherwise; that variable stays set.
+    Both are done in processes of termsel; in a program or notebook of the user GDAL stays as it is.
     """
     if not _own_process:
         yield

@@ -98,7 +98,10 @@ def end_turn(file: FileIO) -> None:
 
 
 def lock_holder(folder: Path) -> str | None:
-    """Return who is at work in a folder: process, machine and since when; None if nobody is."""
+    """Return who is at work in a folder: process, machine and since when; None if nobody is.
+
+    It is "another process" where that has not written its name yet.
+    """
     if not path_inside(folder, LOCK).exists():
         return None
     with _open_lock(folder, "r+b") as file:

@@ -117,10 +117,10 @@ def refuse_foreign(path: Path | str) -> list[str]:
 
 
 def is_single_file(path: Path | str) -> bool:
-    """Return whether GDAL opens no other file with a raster by its name alone.
+    """Return whether GDAL opens a raster from this file alone, and none that lies next to it.
 
     Returns False for a virtual raster, and for what is no file on the disk, such as one in an
-    archive.
+    archive; True for a raster in memory.
     """
     # A file in memory was made by this process, which makes none next to it.
     if str(path).startswith("/vsimem/"):
@@ -483,7 +483,10 @@ class _Chain:
         return max(reads, 1)
 
     def _refuse_code(self, root: ElementTree.Element) -> None:
-        """Refuse virtual rasters of raw bytes, of any file, and with code of Python."""
+        """Raise TermselError for a virtual raster with code of Python, or of raw bytes.
+
+        Raw bytes may be those of any file.
+        """
         for element in root.iter():
             kinds = [value.casefold() for key, value in element.items()
                      if key.rpartition("}")[2].casefold() == "subclass"]
@@ -647,7 +650,7 @@ def _archive_and_member(name: str) -> tuple[Path | None, str]:
 
 
 def _list_archive(name: str, archive: Path) -> list[str] | None:
-    """Return the files in an archive as GDAL calls them, none if it cannot be read.
+    """Return the files in an archive as GDAL calls them, [] if it cannot be read.
 
     Returns None where `name` stands for one compressed file, which is no archive.
     """
@@ -667,9 +670,10 @@ def _list_archive(name: str, archive: Path) -> list[str] | None:
 
 
 def _read_archive_member(name: str, archive: Path, member: str) -> bytes | None:
-    """Return the beginning of a file in an archive; all of it if it is a virtual raster.
+    """Return the beginning of a file in an archive; of a virtual raster all, up to `_LARGEST_XML`.
 
-    Returns None if the archive cannot be read, or has no such file.
+    Without the name of a `member` the only file of the archive is read. Returns None if the archive
+    cannot be read, has no such file, or has several and no name is given.
     """
     try:
         if name.startswith("/vsigzip/"):

@@ -35,7 +35,7 @@ def safe_path() -> list[str]:
 
 @contextmanager
 def modules_here() -> Iterator[None]:
-    """Import what the command line names: modules of the current folder, too, after all others.
+    """Let a block import modules of the current folder, too, after all others.
 
     Only a module that the user has named is imported so, and none of that folder takes the place
     of Python's own or of an installed one.

@@ -102,9 +102,9 @@ _AUTHORITY = re.compile(r'(?:ID|AUTHORITY)\s*\[\s*"EPSG"\s*,\s*"?(\d{1,9})"?\s*\
 
 
 def crs_text(crs: CrsLike) -> str:
-    """Return a CRS as text: that of an EPSG number, or the WKT of an object such as pyproj's.
+    """Return a CRS as text: text as it is, "EPSG:n" for a number, the WKT of an object of pyproj.
 
-    Raises TermselError for what is none of these.
+    Raises TermselError for anything else. Whether there is such a CRS is not looked at.
     """
     if isinstance(crs, str):
         return crs

@@ -366,7 +366,7 @@ def degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
                 lon, lat = transformation_between(crs, geodetic)(middle)[0, :2].tolist()
             else:
                 lon, lat = _degrees_of_plan(horizontal_crs(crs), horizontal_crs(geodetic), middle)
-    except TermselError:  # without a CRS or without pyproj nothing shows
+    except TermselError:  # the CRS is not known, or pyproj is needed for it
         return None
     if np.isfinite([lon, lat]).all() and abs(lat) <= 90:
         return ((lon + 180.0) % 360.0 - 180.0, lat)

@@ -454,8 +454,8 @@ def _parse_degrees(row: int, text: str, angle: str) -> float | None:
 
     Degrees, minutes and seconds are separated by their marks or by spaces, with a hemisphere before
     or after, or a sign. `row` is that of the cell and `angle` its axis, "x" or "y", for errors.
-    Raises BadCell for 60 minutes or seconds and more, a latitude among longitudes, and a hemisphere
-    that is ambiguous.
+    Raises BadCell for 60 minutes or seconds and more, a latitude among longitudes, a hemisphere
+    that is ambiguous, and one next to a sign.
     """
     match = _ANGLE.fullmatch(text)
     if match is None:

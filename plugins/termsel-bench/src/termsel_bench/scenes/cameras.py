@@ -143,7 +143,9 @@ def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
               measured: int | None, level: float) -> FeatureSet:
     """Return points of one image of a random camera, over random ground (see `image_of`).
 
-    `level` is -1 without a plain. Raises TermselError if too few points are in view.
+    Ground below `level`, from -1 to 1 of the hills' heights, is a plain; -1 is without one.
+    `measured` is how many points have errors of measurement, None for all. Raises TermselError if
+    too few points are in view.
     """
     lines, samples = (int(n) for n in rng.integers(*ranges.size, 2))
     lon = rng.uniform(-170, 170)

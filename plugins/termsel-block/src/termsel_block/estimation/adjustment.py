@@ -69,10 +69,16 @@ def adjust_block(state: BlockUnknowns, measured: Sequence[Measured], control: Se
     measured, control : sequence
         Measurements of ties, and control, of each image.
     heights : Heights
+        What is known of the heights of ties; its offset and standard deviation are changed.
     progress : callable, optional
         Called with the share that is done.
     fixed : sequence of bool, optional
         Images whose correction is asked for, and not to be chosen.
+
+    Raises
+    ------
+    TermselError
+        If the block is not determined by its control and ties.
 
     Notes
     -----
@@ -227,8 +233,8 @@ class _Run(Steps):
         """Estimate the variances of ties, control, heights and parameters from the last solution.
 
         Each is a sum of weighted squares over its redundancy, with corrections for robust weights
-        and few measurements. Returns whether the standard deviations of ties, control and heights
-        changed by less than the part `_SETTLED_CHANGE`.
+        and few measurements. Sets `freedom`, the redundancy, too. Returns whether the standard
+        deviations of ties, control and heights changed by less than the part `_SETTLED_CHANGE`.
         """
         state = self.state
         covariances = self.solved.image_covariances[:-1]
@@ -318,7 +324,8 @@ class _Run(Steps):
         """Drop groups of columns that the evidence is against; return whether any was dropped.
 
         The logarithm of the Bayes factor of each group that was weighed is put into `evidence`,
-        which has a dict for each image. `fixed` is as in `grow`.
+        which has a dict for each image. Permanent groups are not weighed, nor those of a nested
+        camera before the last one that is kept. `fixed` is as in `grow`.
         """
         state = self.state
         dropped = False

@@ -259,7 +259,7 @@ def solve(
     Raises
     ------
     numpy.linalg.LinAlgError
-        If parameters are not determined.
+        If parameters are not determined; RuntimeError where the system is sparse.
     """
     of_ties = of_ties.copy()
     right_of_ties = right_of_ties.copy()
