@@ -253,8 +253,8 @@ def _without_harmful_sensors(result: BlockResult, freed_blocks: dict[str, BlockR
     """Return the result without the sensors that make the ground rough or contradict control.
 
     In each round the block is adjusted without each stated sensor, and the one is left out without
-    which control is predicted best, until none is better left out. `freed_blocks` has results
-    without a sensor that are known already.
+    which control is predicted best, until none is better left out. A note of the block says which.
+    `freed_blocks` has results without a sensor that are known already.
     """
     # A sensor that is nearly right may fit its own images well, while the ground bends instead.
     while True:

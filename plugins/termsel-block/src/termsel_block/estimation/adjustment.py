@@ -149,10 +149,11 @@ class _Run(Steps):
         self.large = sum(len(camera.groups) for camera in state.cameras) > _MANY_PARAMETERS
 
     def iterate(self, *, robust: bool, limit: int, report: Callable[[float], None]) -> int:
-        """Make steps until no tie moves by `CONVERGED` px, at most `limit`; return their number.
+        """Make up to `limit` steps until the block has settled; return their number.
 
-        `converged` becomes whether they were enough. With `robust` weights fall with the residuals.
-        `report` is called with the share of `limit` that is done.
+        It has if no tie moves by `CONVERGED` px and standard deviations, which are estimated on the
+        way, do not change; `converged` becomes whether it has. With `robust` weights fall with the
+        residuals. `report` is called with the share of `limit` that is done.
         """
         self.converged = False
         for step in range(limit):

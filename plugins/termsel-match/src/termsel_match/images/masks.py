@@ -310,6 +310,9 @@ def mask_clouds_and_water(picture: GreyRaster) -> tuple[Excluded, ...]:
                              likely: Callable[[FloatArray, Mask, Mask], bool]) -> None:
         """Mask the pixels above Otsu's threshold of an index, if they are likely to be a class.
 
+        A function of them is added to `excluded_areas`, and a note says how much of the image it
+        is.
+
         `name` is that of the class, and `used` are the numbers of the bands. `index` takes their
         values (c, lines, samples) and returns one value for each pixel. `likely` takes the same
         values and the masks of the pixels above and below the threshold.

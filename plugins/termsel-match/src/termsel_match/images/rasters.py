@@ -185,7 +185,8 @@ def open_picture(path: Path | str, band: int | None = None) -> Iterator[GreyRast
         The raster.
     band : int, optional
         Number of a band, from 1. By default the brightness is the mean of all bands without those
-        of transparency; of more than 16 bands, the mean of 16 that are evenly spaced.
+        of transparency; of more than 16 bands, the mean of 16 that are evenly spaced, which is
+        noted.
 
     Yields
     ------

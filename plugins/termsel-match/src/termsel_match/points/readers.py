@@ -58,7 +58,11 @@ class ArosicsTable(Reader):
         return set(_AROSICS) <= set(_read_header(head))
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name file, line and column."""
+        """Return the points with a match; those that AROSICS takes for outliers are off.
+
+        Raises TermselError, with file, line and column, for a cell that is no number, and if no
+        point has a match.
+        """
         ids = []
         roles = []
         rows = []
