@@ -370,11 +370,11 @@ def agreement(control: FitData) -> BoolArray | None:
 
 def _judge_by_projection(control: FitData, auto: Auto,
                          used: BoolArray) -> tuple[BoolArray, Test] | None:
-    """Return the points in use (n,) and their test by a central projection or a known camera.
+    """Return a mask of points in use (n,), and their test, by a projection or a known camera.
 
     Polynomials follow an oblique view so badly that their residuals hide blunders, and make sound
-    points look like some. Returns None where the method that is chosen for the points in use is
-    neither.
+    points look like some. Returns None with lines, where the method chosen for the points in use is
+    neither a central projection nor a known camera, and where it gives no test.
     """
     if len(control.features.lines):
         return None
@@ -406,7 +406,10 @@ def _stands_out(errors: FloatArray) -> bool:
 
 
 def _points_a_model_explains(control: FitData, auto: Auto, suspected: BoolArray) -> BoolArray:
-    """Return which suspected points, (n,), a parametric model of all other points predicts.
+    """Return a mask (n,) of the suspected points that a parametric model of all others predicts.
+
+    `suspected` (n,) is a mask, too. With lines, and where the method chosen for the other points is
+    not parametric, there are none.
 
     Polynomials and random fields follow an oblique view badly: what bends there is the image. A
     view that was fitted without the suspected points and predicts them shows that they are right.
@@ -515,7 +518,7 @@ def _contradicting_features(all_features: FitData, is_other: BoolArray,
 
 def _agreeing_core(control: FitData, test_of_all: TestOfAll,
                    test_of: TestOf = Division.shrunken_test) -> tuple[BoolArray, Test] | None:
-    """Return the features that agree, (n,), and their test; None if they are too few for a test.
+    """Return a mask (n,) of features that agree, and their test; None if too few for a test.
 
     Of points, those with the largest strain are set aside in steps, and the others tested again
     after each, until MAX_BLUNDER_SHARE of all is gone or the others are too few for a test. With
@@ -583,7 +586,7 @@ def _weightless(control: FitData) -> BoolArray | None:
 
 def _readmit_predicted(control: FitData, used: BoolArray, test: Test, test_of_all: TestOfAll,
                        test_of: TestOf = Division.shrunken_test) -> tuple[BoolArray, Test]:
-    """Return the features in use, (n,), and their test, when no more come and go.
+    """Return a mask (n,) of the features in use, and their test, when no more come and go.
 
     Features that those in use predict are admitted again, those they no longer predict are left
     out.
@@ -625,7 +628,9 @@ def _readmit_predicted(control: FitData, used: BoolArray, test: Test, test_of_al
 
 
 def _points_on_a_bend(control: FitData, used: BoolArray) -> BoolArray:
-    """Return which points out of use, (n,), a strong bend of the image explains.
+    """Return a mask (n,) of the points out of use that a strong bend of the image explains.
+
+    `used` (n,) is the mask of those in use. With lines there are none.
 
     A cubic polynomial is too stiff for a map of half the Earth: right points at its edge look like
     blunders. One that bends more, as far as the points in use support it, tells for each whether it
@@ -645,7 +650,9 @@ def _points_on_a_bend(control: FitData, used: BoolArray) -> BoolArray:
 
 def _points_of_a_deformation(control: FitData, used: BoolArray, suspected: BoolArray,
                              test: Test) -> BoolArray:
-    """Return which suspected points out of use, (n,), a deformation of the image may explain.
+    """Return a mask (n,) of suspected points out of use that a deformation may explain.
+
+    `used` and `suspected` (n,) are masks, too. With lines there are none.
 
     Nothing contradicts a point that lies alone but the form of the model: at the corner of a map
     that is distorted, a right point looks like a blunder. Neighbours that deviate alike show a
@@ -678,7 +685,7 @@ def _points_of_a_deformation(control: FitData, used: BoolArray, suspected: BoolA
 
 def _judge_by_field(control: FitData, used: BoolArray, test: Test,
                     max_share: float = MAX_BLUNDER_SHARE) -> tuple[BoolArray, Test]:
-    """Return the features in use, (n,), and their test, judged again by a random field.
+    """Return a mask (n,) of the features in use, and their test, judged again by a random field.
 
     Under a field local deformation is no blunder, and an error may be one though a polynomial
     leaves as much elsewhere. Where the points support no field, both are returned as they were.

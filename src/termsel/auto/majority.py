@@ -125,7 +125,7 @@ class Halves:
 
 
 def find_majority(control: FitData, halves: Halves | None = None) -> BoolArray | None:
-    """Return which points (n,) agree with one polynomial; None where no majority is clear.
+    """Return a mask (n,) of the points that agree with one polynomial; None if none is clear.
 
     A majority is clear if more than a third of the points disagree with it, and grossly. Returns
     None for fewer than MIN_SEEN_POINTS points, and with lines. `halves` are the halves of these
@@ -164,9 +164,10 @@ def polynomial_designs(ground: FloatArray, *, heights: bool) -> tuple[list[Float
 
 def _majority_over_blunders(design: FloatArray, scaled: Points,
                             half: BoolArray) -> BoolArray | None:
-    """Return which points (n,) agree with a half, if over a third are gross blunders; else None.
+    """Return a mask (n,) of the points that agree with a half, if the others are gross blunders.
 
-    `design` (n, k) are the terms of the polynomial, `half` is a mask (n,).
+    These have to be more than a third, and no part of the image that bends away; else None is
+    returned. `design` (n, k) are the terms of the polynomial, `half` is a mask (n,).
     """
     n = len(half)
     agreeing, strains = _points_agreeing_with(design, scaled.image, half)

@@ -73,9 +73,9 @@ def as_far_as_determined(auto: Auto, data: FitData) -> tuple[Auto, str]:
     if not (auto.is_one_method and isinstance(named, NamedModel)):
         return auto, ""
     lowered = list(named.lowered())
-    chosen = (next((method for method in lowered if auto.validated(method, data) is not None), None)
-              or next((method for method in lowered if unjudged_fit(data, method) is not None),
-              None) or lowered[-1])
+    predicting = (method for method in lowered if auto.validated(method, data) is not None)
+    determined = (method for method in lowered if unjudged_fit(data, method) is not None)
+    chosen = next(predicting, None) or next(determined, None) or lowered[-1]
     note = "" if chosen is named else _note_on_size(chosen, named, data)
     return replace(auto, methods=(_built_in(chosen, data),)), note
 

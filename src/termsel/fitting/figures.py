@@ -171,7 +171,7 @@ def term_significance(fit: Fit) -> dict[str, Significance]:
     """Return the significance of each term in use; empty without redundancy.
 
     It is that of the adjustment as if the terms had been given. After a search among many it
-    is too favourable.
+    is too favourable. A term whose standard deviation is 0 or not known has none.
     """
     adjustment = fit.adjustment
     if not adjustment.feasible or adjustment.redundancy <= 0:

@@ -93,6 +93,8 @@ def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
     photogrammetric processing", PE&RS 67 (2001) 1347-1357): with the selected terms, and with
     all of them where that loses more than 0.05 px. Where no cubic follows the image, as in ground
     range, denominators follow its noise up to a pole; there their coefficients are held near zero.
+    How far a fitted RPC is from the model is logged, as a warning above 0.05 px, and so is a part
+    of the image that it leaves out.
 
     Examples
     --------

@@ -106,7 +106,8 @@ def column_of_sides(axis: str, numbers: Sequence[str], unused: Mapping[int, Sequ
     It holds N and S beside latitudes, E and W beside longitudes. `numbers` are the cells of the
     angles, in `angle_column`; `unused` are the cells of columns without a meaning, by their index.
     Of several columns of sides the nearest after that of the angles counts, else the nearest before
-    it. Returns None where there is none, or where it changes no sign.
+    it. One by which the points would be far apart is none, and is noted. Returns None where there
+    is none, or where it changes no sign.
     """
     sizes = [_size(cell) for cell in numbers]
     # Eastings and northings have no side.

@@ -137,7 +137,10 @@ def _parse_feature(path: Path, number: int, item: Any, kinds: Mapping[str, int])
 
 
 def numbers_at(value: Any, depth: int, lengths: tuple[int, ...]) -> bool:
-    """Return True if lists of this depth hold lists of finite numbers, of these lengths."""
+    """Return whether lists of a depth hold lists of finite numbers, of these lengths.
+
+    At the depth 0 a value is such a list of numbers itself. An empty list holds none.
+    """
     if not isinstance(value, list):
         return False
     if depth:

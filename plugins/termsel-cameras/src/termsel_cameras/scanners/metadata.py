@@ -84,7 +84,10 @@ def metadata_of(given: str) -> Metadata:
 
 @lru_cache(maxsize=2)  # a file is read by format, image and model; its time of change is a key
 def _read(path: Path, _changed: int) -> Metadata:
-    """Return the metadata of a file; `_changed`, its time of change, only renews the cache."""
+    """Return the metadata of a file; `_changed`, its time of change, only renews the cache.
+
+    Raises TermselError for a file that is no XML or does not describe such a scene.
+    """
     try:
         root = ElementTree.fromstring(read_data(path))
     except (ElementTree.ParseError, ValueError, LookupError) as error:

@@ -279,7 +279,7 @@ def _lattice_of(sheet: FeatureSet) -> FloatArray:
 
 
 def _evidences(sheet: FeatureSet, shown: Sequence[_Shown]) -> FloatArray:
-    """Return the logarithm of how probable each projection makes the points of a sheet.
+    """Return the logarithm (p,) of how probable each of p projections makes a sheet's points.
 
     Minus infinity where no model is determined. Paper counts where each projection shows it.
     """

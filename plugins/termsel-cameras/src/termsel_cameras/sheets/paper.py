@@ -279,7 +279,7 @@ def evidence_of_map(count: int, held_out_rmse: float, shown: Sheet | None) -> fl
 
 def _log_evidence_of_residuals(squares: FloatArray, own: NDArray[np.int_], noise: float,
                                freedom: float) -> FloatArray:
-    """Return the logarithm of the density of residuals, but for a constant.
+    """Return the logarithm of the density of residuals, but for a constant; shaped like `squares`.
 
     `squares` are the sums of their squares, of `own` degrees of freedom each. The variance, usually
     the square of `noise` with `freedom` degrees, is integrated out: residuals are of a multivariate

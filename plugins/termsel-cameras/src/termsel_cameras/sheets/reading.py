@@ -109,9 +109,10 @@ def choice_in_words(choice: Choice) -> str:
 def _sheet_of_series(features: FeatureSet, values: Mapping[str, Any]) -> FeatureSet:
     """Return a sheet with the projection and the paper of the series in `values["series"]`, a file.
 
-    A note is logged if the other sheets are no series, or if they contradict their projection; then
-    the sheet is returned as it is. Raises TermselError if options state or
-    choose a projection, too, if the file is none, or if no other sheet shows its paper.
+    If the other sheets contradict their projection, the sheet is returned as it is; if they are no
+    series, it states their paper, which the method for series then declines. Both are noted. Raises
+    TermselError if options state or choose a projection, too, if the file is none, or if no other
+    sheet shows its paper.
     """
     # These modules fit models, and so take long to import.
     from termsel_cameras.sheets.paper import reason_against
