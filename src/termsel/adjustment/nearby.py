@@ -33,8 +33,9 @@ def solve_near(equations: Equations, start: BoolArray, features: BoolArray,
                ) -> tuple[FloatArray, IntArray]:
     """Solve a population of systems whose features (p, n) differ little from a selection (n,).
 
-    All terms are in use. Returns what `solve_many` does, but for rounding: the coefficients (p, k),
-    and the number of terms that are not determined (p,).
+    `features` and that selection, `start`, are masks. All terms are in use. Returns what
+    `solve_many` does, but for rounding: the coefficients (p, k), and the number of terms that are
+    not determined (p,).
     """
     rows = _padded_rows_of_features(equations.feature, len(start))
     reference = _reference_solution(equations, start) if rows.shape[1] <= MAX_FEATURE_ROWS else None

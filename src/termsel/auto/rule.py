@@ -623,7 +623,8 @@ def advantage_in_words(advantage: float, other: str) -> str:
 def requirement_in_words(advantage: float, margin: float) -> str:
     """Return in words whether an advantage is more than chance, and how large it must be for that.
 
-    Returns "" where there is no advantage.
+    `advantage` and the `margin` that it needs are in standard errors. Returns "" where there is no
+    advantage.
     """
     if not advantage > _NO_ADVANTAGE:
         return ""

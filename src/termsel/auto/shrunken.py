@@ -238,6 +238,7 @@ def _ridge(columns: FloatArray, target: FloatArray,
            weights: FloatArray) -> tuple[FloatArray, float]:
     """Return ridge coefficients (k,) whose penalty is chosen by GCV, and their effective number.
 
+    They are those of weighted `columns` (n, k) for a `target` (n,).
     Coefficients whose weight in `weights` (k,) is 0 are not penalised.
     """
     # With A = [F, P W], F the free columns, the substitution z = W x makes the penalty a plain
@@ -339,7 +340,7 @@ class Interpolated(Estimator):
 
 
 def points_alone(control: FeatureSet, used: BoolArray, taker: str) -> Points:
-    """Return the points in use (n,).
+    """Return the points of the control that are in use, by the mask `used` (n,) of its features.
 
     Raises Undetermined if there are lines, which `taker` does not take: a phrase with its article
     for the message, such as "an interpolation".

@@ -73,7 +73,8 @@ def locate(
 def _is_affine(project: Projection, middle: FloatArray, unit: FloatArray) -> bool:
     """Return whether a projection is affine in x and y, so that it sees each place only once.
 
-    It is if two equal steps on the ground move the image by the same, in four directions.
+    It is if two equal steps on the ground, of the size `unit` (3,) from `middle` (3,), move the
+    image by the same, in four directions.
     """
     directions = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0]])
     with np.errstate(all="ignore"):

@@ -92,7 +92,11 @@ def empty_tiff() -> bytes:
 
 
 def tiff_bytes(pixels: Any, driver: str = "GTiff", **profile: Any) -> bytes:
-    """Return a GeoTIFF, or other image, of pixels (bands, lines, samples), made in memory."""
+    """Return the bytes of a GeoTIFF, made in memory, of pixels (bands, lines, samples).
+
+    `driver` is GDAL's name of another format, and `profile` are further options of it. Raises
+    TermselError without rasterio.
+    """
     rasterio = require_rasterio()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)

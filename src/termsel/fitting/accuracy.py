@@ -330,8 +330,8 @@ def _predict_with_experience(fitted: Fit, errors: FloatArray, points: int,
 def _squares_of_places(factors: FloatArray, noise: float) -> tuple[float, float]:
     """Return the mean square errors at control, with and without the point at each place.
 
-    Factors (n, 2, d) are those of the covariance A of both axes. Without a measurement of the
-    variance s^2 it is A (1 - A / s^2)^-1.
+    Factors (n, 2, d) are those of the covariance A of both axes, and `noise` is the variance s^2 of
+    a measurement. Without one it is A (1 - A / s^2)^-1.
     """
     covariances = factors @ factors.transpose(0, 2, 1)
     leverages = np.minimum(np.linalg.eigvalsh(covariances) / noise, MAX_LEVERAGE)
@@ -463,7 +463,10 @@ def asprs_rmse(points: int, ground: OnGround | None) -> StandardFigure:
 
 
 def _why_missing(points: int, ground: OnGround | None, fewest: int, remedy: str = "") -> str | None:
-    """Return why a figure of a standard is missing, as a clause; None if it is not missing."""
+    """Return why a figure of a standard is missing, as a clause; None if it is not missing.
+
+    It is missing if the number of `points` is below `fewest`, or there is no figure on the ground.
+    """
     if points < fewest:
         return (f"{count_in_words(points, 'independent check point')}, at least {fewest} "
                 f"needed{remedy}")

@@ -195,7 +195,7 @@ def _start_of_steps(model: SensorModel, features: FeatureSet, terms: BoolArray, 
 
 def _linearised_equations(model: SensorModel, features: FeatureSet,
                           coefficients: FloatArray) -> Equations:
-    """Return the equations about a solution (k,), of a model that must have them.
+    """Return the equations about the coefficients (k,) of a solution; the model must have them.
 
     Raises PluginFault where the model returns none.
     """

@@ -426,7 +426,10 @@ def _log_likelihoods(system: System, within: Groups, covariance: Covariance) -> 
 
 
 def _halve_rows(positions: FloatArray, rows: IntArray, most: int) -> list[IntArray]:
-    """Return rows cut in halves, across their longer side, until each part has at most `most`."""
+    """Return rows cut in halves, across their longer side, until each part has at most `most`.
+
+    `positions` (n, 2) are those of all, and `rows` the indices of those that are cut.
+    """
     if len(rows) <= most:
         return [rows]
     axis = int(np.argmax(np.ptp(positions[rows], axis=0)))

@@ -289,7 +289,11 @@ def _grid_on_ground(fitted: Fit, convert: Callable[[FloatArray], FloatArray], ac
 
 
 def _refit_rpc(image: FloatArray, ground: FloatArray, terms: BoolArray, ridge: float = 0.0) -> Rpc:
-    """Return an RPC with some terms that is fitted to positions of the model."""
+    """Return an RPC with the terms of a mask (78,), fitted to positions of the model.
+
+    These are `image` (n, 2) [px] of `ground` (n, 3), longitude, latitude [deg] and height [m]. The
+    coefficients of denominators are held near zero by `ridge`, unless it is 0.
+    """
     model = RationalFunctions(ridge=ridge)
     if np.ptp(ground[:, 2]) < 1e-6:
         # At a single height all terms with Z are constants times others.
@@ -311,7 +315,10 @@ def _has_pole(rpc: Rpc, ground: FloatArray) -> bool:
 
 
 def _distance_from_model(rpc: Rpc, ground: FloatArray, image: FloatArray) -> tuple[float, float]:
-    """Return the largest distance [px] between RPC and model, and its root mean square."""
+    """Return the largest distance [px] between RPC and model, and its root mean square.
+
+    The model has the places `ground` (n, 3), as the RPC takes them, at `image` (n, 2) [px].
+    """
     if not len(ground):
         return float("inf"), float("inf")
     # A pole gives an infinite distance, which refuses the RPC.

@@ -113,7 +113,8 @@ def spread_of(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustm
     """Return the mean square errors of a fit's predictions; NaN without redundancy.
 
     All is scaled: the prepared model, the features in use, ground (m, 3) and the image that the fit
-    predicts there (m, 2). `least_squares` says whether the coefficients are its own.
+    predicts there (m, 2). `terms` (k,) is a mask of those that were fitted. `least_squares` says
+    whether the coefficients are its own.
     """
     interpolation = None if len(control.lines) else model.interpolation(control)
     if interpolation is not None:

@@ -51,8 +51,8 @@ def average_repeated(ids: Sequence[str], image: FloatArray, ground: FloatArray,
 
     Places are in the order of their first rows that are in use, (m,). The others are the mean image
     position (m, 2) of the rows there, and its standard deviations (m, 2), None without `sigma`.
-    Rows with the role "off" take no part, and each is a place of its own. Raises TermselError for
-    different roles at one place: one of them would be lost.
+    Rows with the role "off" take no part, and each is a place of its own. Which were averaged is
+    logged. Raises TermselError for different roles at one place: one of them would be lost.
     """
     is_off = np.array([role == "off" for role in roles])
     first_rows: list[int] = []

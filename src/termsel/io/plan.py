@@ -63,8 +63,9 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
     """Return the places where further points lessen the uncertainty over the scene most.
 
     The places to choose from are those of the table `candidates`, id,x,y,z; by default a grid over
-    the image, with the height of the nearest control. Raises TermselError if the table cannot be
-    read or has no place in the image, or the uncertainty of the model is not known.
+    the image, with the height of the nearest control. Candidates that the image does not show, or
+    that are control already, are told by warnings. Raises TermselError if the table cannot be read
+    or has no place in the image, or the uncertainty of the model is not known.
     """
     fitted = result.fit
     _warn_of_unknown_size(fitted)

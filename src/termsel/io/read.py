@@ -708,7 +708,8 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
 
     These steps follow each other, as each needs the one before: the reader of each file, its
     features with axes exchanged and counted from the upper left, their kinds, the CRS in which all
-    files agree, units of columns, and positions that the CRS can have. Every error names the file.
+    files agree, units of columns, and positions that the CRS can have. Every error names the file;
+    doubts about columns and positions are logged.
 
     Raises TermselError without any file, for more formats than files, and where one of these steps
     fails.

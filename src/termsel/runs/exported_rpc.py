@@ -34,7 +34,8 @@ RPC_DOUBTS = (_FITTED, _WITHOUT_RECORD)
 
 
 def rpc_of_model(model: SensorModel) -> Rpc | None:
-    """Return the RPC that a model has as an option; None if it has none."""
+    """Return the RPC that a model has as an option, with its numbers in JSON; None if it has none.
+    """
     text = model.options.get("rpc")
     if not isinstance(text, str) or _COUNT not in text:
         return None

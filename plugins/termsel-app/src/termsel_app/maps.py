@@ -225,7 +225,8 @@ def open_maps(names: Sequence[str], crs: str | None, remote: bool) -> Maps:
     """Return all maps that are named, open, in the CRS of the first one that has one.
 
     With tiles, this is web Mercator; if no map has a CRS, it is `crs`, or "local". Names are files,
-    addresses of tiles, and, if `remote`, files on servers. Raises TermselError for a file that
+    addresses of tiles, and, if `remote`, files on servers. A layer that does not overlap the first
+    one is noted in the maps. Raises TermselError for a file that
     cannot be read, is not georeferenced, or has no CRS while `crs` is None.
     """
     rasters = []

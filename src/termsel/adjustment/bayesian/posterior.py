@@ -216,8 +216,9 @@ def _shared_scales(scales: bytes, sizes: bytes, n_own: int, targets: int) -> _Sh
     """Return the scales of all solutions, with what they have in common for a fast solution.
 
     A solution has a size and a group. `scales` (g, n_own + 1) has those of n_own columns in each
-    group, and last the one that all other columns share. Both arrays come as their bytes, as the
-    cache needs a key.
+    group, and last the one that all other columns share; `sizes` are all that a scale is multiplied
+    by. Both arrays come as their bytes, as the cache needs a key. `targets` is the number of
+    columns, scaled by 1, that follow the `n_own` ones.
     """
     scales_of_groups = np.frombuffer(scales).reshape(-1, n_own + 1)
     by_size = (np.frombuffer(sizes)[:, None] * scales_of_groups[:, None]).reshape(-1, n_own + 1)

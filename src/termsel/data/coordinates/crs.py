@@ -152,7 +152,8 @@ def is_crs(text: str) -> bool:
 def _normal_form(text: str) -> str:
     """Return what `normalise` returns; "" for text in none of its forms.
 
-    Raises TermselError for what is in one of these forms, but is wrong: see `normalise`.
+    Raises TermselError for what is in one of these forms, but is wrong: see `normalise`. Without
+    pyproj a code is taken as it is, with a note.
     """
     if text.lower() == LOCAL:
         return LOCAL

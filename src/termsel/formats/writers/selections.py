@@ -119,7 +119,11 @@ class GcpVrt(SelectionWriter):
     declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
 
     def write(self, result: Result, path: Path) -> None:
-        """Write a VRT with a list of GCPs."""
+        """Write a VRT with a list of GCPs; log what gdalwarp makes of them.
+
+        Raises TermselError if the result is none that the format can hold, or the file cannot be
+        written.
+        """
         _require_accepted(self, result, path, _NO_POINTS)
         points, gcps, crs = gcps_of(result)
         write_text(path, vrt_text(picture_for(result, self.options["image"]), path.parent,
@@ -136,7 +140,10 @@ class PointsTable(SelectionWriter):
     suffix = "_points.csv"
 
     def write(self, result: Result, path: Path) -> None:
-        """Write a table; control points that were not selected have 0 in the column enabled."""
+        """Write a table; control points that were not selected have 0 in the column enabled.
+
+        Logs that it holds no model. Raises TermselError for a result without control points.
+        """
         _require_accepted(self, result, path, _NO_POINTS)
         points = result.features.points
         selected = _are_in_adjustment(result)
@@ -167,7 +174,10 @@ class LinesTable(Writer):
         return bool(len(result.features.lines))
 
     def write(self, result: Result, path: Path) -> None:
-        """Write a table; lines that were not selected have 0 in the column enabled."""
+        """Write a table; lines that were not selected have 0 in the column enabled.
+
+        Logs that it holds no model. Raises TermselError for a result without control lines.
+        """
         _require_accepted(self, result, path, "It has no control lines; points-csv takes points.")
         lines = result.features.lines
         selected = _features_in_adjustment(result)

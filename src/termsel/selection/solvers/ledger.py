@@ -199,7 +199,11 @@ class Ledger(ProblemAround):
         return Evaluation(self._values[rows, :-1], self._values[rows, -1])
 
     def _evaluation_of(self, keys: list[bytes], genes: Genes, near: Genes | None) -> Evaluation:
-        """Return the evaluation of genes (n, size) by the checkpoint, or else by the problem."""
+        """Return the evaluation of genes (n, size) by the checkpoint, or else by the problem.
+
+        The latter is added to the checkpoint, if there is one. `keys` are those of the individuals;
+        `near` (size,) are genes that all of these differ little from, None if there are none.
+        """
         stored = None if self.stage is None else self.stage.replay_next(keys, self.inner, genes)
         if stored is not None:
             return stored

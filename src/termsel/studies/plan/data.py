@@ -48,7 +48,8 @@ class Data:
 def data_of(spec: Spec, folder: Path, tables: frozenset[Path] = frozenset()) -> list[Data]:
     """Return all data that a study names, each once; file names are relative to `folder`.
 
-    Files among `tables`, the resolved paths of what the study itself writes, are skipped.
+    Files among `tables`, the resolved paths of what the study itself writes, are skipped. What the
+    files have in common, such as heights from a raster, is told once for all.
 
     Raises TermselError for data that are named twice, and where none of the data can be read.
     """

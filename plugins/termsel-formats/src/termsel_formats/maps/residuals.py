@@ -46,8 +46,9 @@ class ResidualsGeopackage(Writer):
         """Write the layers residuals and vectors, with their styles.
 
         The GeoPackage is made in a folder of its own and moved when it is complete, as its driver
-        writes in place. Vectors are exaggerated by a round factor, which their style names. Raises
-        TermselError without the extra `gis`, and where the disk is full.
+        writes in place. Vectors are exaggerated by a round factor, which their style names. Logs
+        that it holds no model. Raises TermselError without the extra `gis`, and where the disk is
+        full.
         """
         with require_import("this format requires", "pyogrio and shapely", GIS, path):
             import shapely

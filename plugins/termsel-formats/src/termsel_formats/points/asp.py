@@ -178,8 +178,9 @@ class AspGcpWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write a row for each point, in WGS84 with ellipsoidal heights.
 
-        Raises TermselError if no point has a height and can be written, or if the option
-        `ground_sigma` is no standard deviation.
+        How many points there are, and which are left out, is logged. Raises TermselError if no
+        point has a height and can be written, or if the option `ground_sigma` is no standard
+        deviation.
         """
         self.require(result, path)
         sigma_ground = float(self.options["ground_sigma"])

@@ -105,7 +105,7 @@ class ErdasGcpsWriter(PointsWriter):
         """Write the selected control points as a table with the columns of IMAGINE, between tabs.
 
         Lines are negative, as IMAGINE has those of an image without a map, and unknown heights are
-        blank. Raises TermselError for a result without control points.
+        blank. Logs that it holds no model. Raises TermselError for a result without control points.
         """
         self.require(result, path)
         points = chosen_points(result)

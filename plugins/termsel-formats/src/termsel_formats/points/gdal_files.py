@@ -120,7 +120,8 @@ class PamGcpsWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write the selected control points as GCPs in auxiliary XML.
 
-        Raises TermselError if the result has no control points, or no CRS of the Earth.
+        Logs what gdalwarp makes of them. Raises TermselError if the result has no control points,
+        or no CRS of the Earth.
         """
         self.require(result, path)
         used, gcps, crs = gcps_of(result)
@@ -146,8 +147,8 @@ class GcpTiff(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write a copy of the image, or an empty one, as a GeoTIFF with the points as GCPs.
 
-        Raises TermselError for a result that the format does not hold, and where GDAL cannot read
-        or write.
+        Logs what gdalwarp makes of them. Raises TermselError for a result that the format does not
+        hold, and where GDAL cannot read or write.
         """
         self.require(result, path)
         from rasterio._err import CPLE_BaseError

@@ -248,7 +248,8 @@ class GdalOptionsWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write the CRS, and a line with the option -gcp for each control point without blunder.
 
-        Raises TermselError if the result has no such point, or no CRS of the Earth.
+        How many points there are, and which are left out, is logged. Raises TermselError if the
+        result has no such point, or no CRS of the Earth.
         """
         self.require(result, path)
         checked = points_for_others(result).without_checks()

@@ -113,8 +113,8 @@ class MapInfoTabWriter(PointsWriter):
         """Write the table with the points of registration, in UTM or degrees on WGS84.
 
         In the image's name quotation marks become _; a label that has one, or a letter beyond
-        ASCII, becomes "Pt" and a number. Raises TermselError for a result without control points in
-        a CRS of the Earth.
+        ASCII, becomes "Pt" and a number. Logs what gdalwarp makes of the points. Raises
+        TermselError for a result without control points in a CRS of the Earth.
         """
         self.require(result, path)
         used = chosen_points(result)

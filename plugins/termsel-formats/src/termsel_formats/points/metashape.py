@@ -156,7 +156,8 @@ class MetashapeMarkersWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write the points as markers of one camera, with the horizontal CRS.
 
-        Independent check points have references that are not enabled. Raises TermselError for a
+        Independent check points have references that are not enabled. How many points there are,
+        and which are left out, is logged. Raises TermselError for a
         result without control points in a CRS of the Earth, or if none can be written.
         """
         self.require(result, path)

@@ -187,7 +187,8 @@ class MicmacXmlWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write the file of measures in the image and, beside it, that of the ground.
 
-        If one cannot be written, neither is. Raises TermselError if no control point with a height
+        If one cannot be written, neither is. How many points there are, and which are left out, is
+        logged. Raises TermselError if no control point with a height
         can be written.
         """
         self.require(result, path)

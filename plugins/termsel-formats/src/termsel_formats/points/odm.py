@@ -107,8 +107,8 @@ class OdmGcpList(Reader):
 def _read_marks(path: Path) -> tuple[str, list[tuple[int, list[str]]]]:
     """Return the CRS of a list, and the number and cells of each line of a mark.
 
-    The CRS is "" for a list without it. Raises TermselError without marks, and for a line that is
-    none.
+    The CRS is "" for a list without it; a note says then how its first mark is read. Raises
+    TermselError without marks, and for a line that is none.
     """
     rows = _numbered_lines(read_text(path))
     if not rows:

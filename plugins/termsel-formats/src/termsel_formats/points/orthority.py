@@ -34,7 +34,8 @@ class OrthorityGeojson(Writer):
     def write(self, result: Result, path: Path) -> None:
         """Write the selected points as GeoJSON, with longitude, latitude and height on WGS84.
 
-        Each has its image position, `ji`, its residual and the columns of its file. Raises
+        Each has its image position, `ji`, its residual and the columns of its file. Logs that it
+        holds no model. Raises
         TermselError if a height or the CRS is missing.
         """
         if not self.accepts(result):

@@ -142,7 +142,8 @@ class OziMapWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write the selected points as the calibration of a map, on WGS84.
 
-        They are in UTM if the CRS is a zone of it, else in degrees and minutes. Raises TermselError
+        They are in UTM if the CRS is a zone of it, else in degrees and minutes. Logs what gdalwarp
+        makes of them, and warns of points on both sides of 180 degrees. Raises TermselError
         for a result without control points in a CRS of the Earth, or with more than 30.
         """
         self.require(result, path)

@@ -165,7 +165,8 @@ class PciGcpWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write a line for each of the selected control points, without a header.
 
-        It has id, pixel, line, x, y, z unless a height is unknown, and status. Raises TermselError
+        It has id, pixel, line, x, y, z unless a height is unknown, and status. Logs that it holds
+        no model. Raises TermselError
         for a result without control points.
         """
         self.require(result, path)

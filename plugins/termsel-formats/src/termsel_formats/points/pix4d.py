@@ -206,7 +206,8 @@ class Pix4dMarksWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write the marks of control points and, beside them, the file of their ground coordinates.
 
-        If one file cannot be written, neither is. Raises TermselError if no point can be written.
+        If one file cannot be written, neither is. How many points there are, and which are left
+        out, is logged. Raises TermselError if no point can be written.
         """
         self.require(result, path)
         # Nothing in these files distinguishes a check point from control.
