@@ -17,7 +17,7 @@ from termsel.data.coordinates.longitudes import (
     unwrap_longitudes,
     without_jump,
 )
-from termsel.data.features import FeatureSet, Points
+from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.formats.readers.csv_tables import write_points_csv
 
 Call = Callable[..., SimpleNamespace]
@@ -184,7 +184,47 @@ def test_other_maps_of_the_world_begin_at_180(projection: str) -> None:
     else:
         scene = map_of_the_world(projection, -179.0, 179.0)
     assert not has_longitude_jump(scene)
-    assert without_jump(scene) is scene
+    kept = without_jump(scene)
+    assert (kept.points.ground == scene.points.ground)[:, :2].all()
+    assert kept.x_start == -180.0
+
+
+def chart_of_the_world(lon: FloatArray, lat: FloatArray) -> FeatureSet:
+    """Places on a map in Mercator's projection, 14 px a degree, whose left edge is at 180 W."""
+    stretched = np.degrees(np.log(np.tan(np.pi / 4 + np.radians(lat) / 2)))
+    image = 14.0 * np.column_stack([85.0 - stretched, lon + 180.0])
+    ground = np.column_stack([lon, lat, np.full(len(lon), np.nan)])
+    return FeatureSet(Points(tuple(f"P{i}" for i in range(len(lon))), image, ground),
+                      crs="EPSG:4326")
+
+
+@pytest.mark.parametrize("lon", [
+    [-165.0, -120.0, -75.0, -30.0, 20.0, 60.0, 110.0, 150.0, 178.0],  # the middle is 6 E
+    [-160.0, -70.0, 20.0, 100.0, 177.0], [-178.0, -90.0, -10.0, 30.0, 90.0, 120.0]])
+def test_both_edges_of_a_map_of_the_world_stay_where_they_are(
+        lon: list[float], tmp_path: Path) -> None:
+    lat = np.resize([52.0, -33.0, 12.0, -48.0, 35.0], len(lon))
+    result = termsel.run(features=chart_of_the_world(np.array(lon), lat), out=tmp_path / "r")
+    edges = chart_of_the_world(np.array([-180.0, -179.5, -174.0, 174.0, 179.5, 180.0]),
+                               np.full(6, 10.0))
+    for fitted in (result, termsel.read_result(tmp_path / "r")):
+        found = fitted.project(edges.points.ground[:, :2])
+        np.testing.assert_allclose(found[:, 1], edges.points.image[:, 1], rtol=0, atol=40.0)
+    # No point held out lies on the other edge, 5,040 px away.
+    assert result.predicted is not None
+    assert result.predicted.rmse < 100.0
+    assert not result.outliers
+
+
+def test_longitudes_that_leave_half_of_a_map_empty_need_not_jump() -> None:
+    chart = chart_of_the_world(np.array([-147.6, -69.3, 129.0, 137.5, 167.4]),
+                               np.array([52.0, -33.0, 12.0, -48.0, 35.0]))
+    assert not has_longitude_jump(chart)
+    # From the west of the Pacific to its east they do, as the image has it.
+    pacific = chart.with_(points=replace(
+        chart.points, image=14.0 * np.column_stack([
+            chart.points.image[:, 0] / 14.0, chart.points.ground[:, 0] % 360.0])))
+    assert has_longitude_jump(pacific)
 
 
 def map_of_a_pole(projection: str, sign: float) -> FeatureSet:
@@ -256,3 +296,19 @@ def test_an_array_on_both_sides_is_compared_with_the_model_on_either(
     assert "geolocation-vrt: at most" in caplog.text
     assert not any("geolocation-vrt" in record.message for record in caplog.records
                    if record.levelname == "WARNING")
+
+
+def test_a_map_of_the_world_in_metres_is_cut_at_its_own_edges() -> None:
+    pyproj = pytest.importorskip("pyproj")
+    crs = "+proj=eqc +lon_0=160 +datum=WGS84 +type=crs"
+    chart = chart_of_the_world(np.array([-178.0, -150.0, -90.0, -10.0, 30.0, 90.0, 120.0, 176.0]),
+                               np.array([52.0, -33.0, 12.0, -48.0, 35.0, 60.0, -20.0, 0.0]))
+    # The same sheet from 20 W to 20 W, in metres from its middle.
+    lon = chart.points.ground[:, 0] + 160.0
+    x, y = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(
+        lon, chart.points.ground[:, 1])
+    ground = np.column_stack([x, y, np.full(len(lon), np.nan)])
+    result = termsel.run(features=FeatureSet(replace(chart.points, ground=ground), crs=crs))
+    assert not result.outliers
+    edge = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(-21.0, 10.0)
+    assert result.project(np.array([edge]))[0, 1] == pytest.approx(14.0 * 359.0, abs=40.0)

@@ -281,6 +281,9 @@ class FeatureSet(Glance):
     named_units : mapping
         Units that names of columns state of x, y and z: "km", "ft", "us-ft", "gon" or "rad". Here
         kilometres are metres, gons and radians degrees.
+    x_start : float, optional
+        Longitude, or x, at which a map of more than half of the world begins: all places on it are
+        within a full turn from there.
 
     Raises
     ------
@@ -317,6 +320,7 @@ class FeatureSet(Glance):
     image_origin: str = ""
     image_file: ImageFile | None = None
     named_units: Mapping[str, str] = field(default_factory=dict)
+    x_start: float | None = None
 
     def __post_init__(self) -> None:
         """Store the CRS as text, and refuse a point and a line with the same id.

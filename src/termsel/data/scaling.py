@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from termsel.data.coordinates.crs import transformation_between
-from termsel.data.coordinates.longitudes import turn_of, unwrap_longitudes
+from termsel.data.coordinates.longitudes import turn_of, unwrap_longitudes, within_turn
 from termsel.data.coordinates.metres import height_unit, plan_of
 from termsel.data.features import FeatureSet, FloatArray, Lines, Points
 from termsel.data.record.record import ScalingNumbers
@@ -47,6 +47,9 @@ class Scaling:
     x_turn : float
         What a full turn around the Earth adds to X, after which a place is the same: 360 where X
         is a longitude [deg], the circumference in cylindrical projections; else 0.
+    x_start : float, optional
+        X at which a map of more than half of the world begins: places are moved by whole turns to
+        lie within one from there. Without it they are moved next to the control.
 
     Examples
     --------
@@ -63,17 +66,21 @@ class Scaling:
     crs: str = ""
     fit_crs: str = ""
     x_turn: float = 0.0
+    x_start: float | None = None
 
     def ground(self, ground: ArrayLike) -> FloatArray:
         """Return scaled ground coordinates, (..., 3); unknown heights become 0.
 
         Longitudes, or x that repeats around the Earth, are first moved by whole turns to those
-        nearest to the control. Places that have no coordinates in the CRS of the fit become very
-        far ones, so that no model puts them into the image.
+        nearest to the control, or on the map of the world. Places that have no coordinates in the
+        CRS of the fit become very far ones, so that no model puts them into the image.
         """
         fitted = to_fit_crs(np.asarray(ground, dtype=np.float64), self.crs, self.fit_crs)
+        if self.x_turn and self.x_start is not None:
+            fitted = fitted.copy()
+            fitted[..., 0] = within_turn(fitted[..., 0], self.x_start, self.x_turn)
         from_offset = fitted - self.ground_offset
-        if self.x_turn:
+        if self.x_turn and self.x_start is None:
             # Control that spans more than a turn keeps its places. The margin is for rounding,
             # which must not move places that are half a turn away.
             reach = max(self.x_turn / 2, self.ground_scale[0]) * (1 + 1e-9)
@@ -119,7 +126,8 @@ class Scaling:
             sample_offset=self.image_offset[1], sample_scale=self.image_scale,
             x_offset=x_offset, y_offset=y_offset, z_offset=z_offset,
             x_scale=x_scale, y_scale=y_scale, z_scale=z_scale,
-            crs=self.crs if self.fit_crs else "", fit_crs=self.fit_crs, x_turn=self.x_turn)
+            crs=self.crs if self.fit_crs else "", fit_crs=self.fit_crs, x_turn=self.x_turn,
+            x_start=self.x_start)
 
     @classmethod
     def from_numbers(cls, numbers: ScalingNumbers) -> Scaling:
@@ -128,7 +136,7 @@ class Scaling:
                    ground_scale=(numbers.x_scale, numbers.y_scale, numbers.z_scale),
                    image_offset=(numbers.line_offset, numbers.sample_offset),
                    image_scale=numbers.line_scale, crs=numbers.crs, fit_crs=numbers.fit_crs,
-                   x_turn=numbers.x_turn)
+                   x_turn=numbers.x_turn, x_start=numbers.x_start)
 
 
 def to_fit_crs(ground: FloatArray, crs: str, fit_crs: str) -> FloatArray:
@@ -159,8 +167,11 @@ def make_scaling(features: FeatureSet) -> Scaling:
     ground = to_fit_crs(features.ground_vertices(), *crs_pair)
     image = features.image_vertices()
     turn = turn_of(features.fit_crs or features.crs)
+    start = _start_of_turn(features, turn)
     if turn:
-        ground = np.column_stack([unwrap_longitudes(ground[:, 0], turn), ground[:, 1:]])
+        x = (unwrap_longitudes(ground[:, 0], turn) if start is None else
+             within_turn(ground[:, 0], start, turn))
+        ground = np.column_stack([x, ground[:, 1:]])
     finite = np.where(np.isnan(ground), np.nanmin(ground[:, :2]), ground)
     has_blank_height = bool(np.isnan(ground[:, 2]).any())
     # One blank height makes all 0: no model of these features uses heights.
@@ -179,7 +190,22 @@ def make_scaling(features: FeatureSet) -> Scaling:
     x_scale, y_scale, z_scale = np.where(half_extents > 0, half_extents, 1.0).tolist()
     return Scaling((x_offset, y_offset, z_offset), (x_scale, y_scale, z_scale),
                    (float(image_middle[0]), float(image_middle[1])),
-                   image_scale if image_scale > 0 else 1.0, *crs_pair, turn)
+                   image_scale if image_scale > 0 else 1.0, *crs_pair, turn, start)
+
+
+def _start_of_turn(features: FeatureSet, turn: float) -> float | None:
+    """Return the X, in the CRS of the fit, at which a map of more than half of the world begins.
+
+    `turn` is what a full turn adds to X there. Returns None for maps of less, and where X does not
+    repeat.
+    """
+    if features.x_start is None or not turn:
+        return None
+    if not features.fit_crs:
+        return features.x_start
+    # The middle of the map is the same place in both; X is proportional to the longitude.
+    middle = np.array([[features.x_start + turn_of(features.crs) / 2, 0.0, 0.0]])
+    return float(to_fit_crs(middle, features.crs, features.fit_crs)[0, 0]) - turn / 2
 
 
 def metres_of(features: FeatureSet, scaling: Scaling) -> FloatArray | None:

@@ -21,7 +21,7 @@ from termsel.data.coordinates.crs import (
     with_stated_heights,
 )
 from termsel.data.coordinates.earth import place_of
-from termsel.data.coordinates.longitudes import nearest_longitudes, turn_of
+from termsel.data.coordinates.longitudes import beside_control
 from termsel.data.coordinates.plausible import check_ground
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, select
 from termsel.data.tables.columns import COORDINATES, LINES, parse_columns
@@ -85,10 +85,7 @@ def project_table(
     control = _control_ground(result)
     # Longitudes by whole turns next to the control, so that distances are those on the ground.
     ground_near_control = ground.copy()
-    if turn := turn_of(crs):
-        lon = control[:, 0]
-        ground_near_control[:, 0] = nearest_longitudes(
-            ground[:, 0], float(lon.min() + lon.max()) / 2, turn)
+    ground_near_control[:, 0] = beside_control(ground[:, 0], result.fit.control)
     distances = distance_outside_control(control, ground_near_control)
     # Two points, or points in a line, enclose no area.
     encloses = bool(np.isfinite(distance_outside_control(control, control[:1])[0]))

@@ -17,7 +17,7 @@ from termsel.data.coordinates.crs import (
     short_crs_name,
     transformation_between,
 )
-from termsel.data.coordinates.longitudes import TURN, unwrap_longitudes
+from termsel.data.coordinates.longitudes import TURN, turn_of, unwrap_longitudes
 from termsel.data.coordinates.metres import (
     azimuthal_crs,
     crss_of_the_world,
@@ -96,8 +96,8 @@ def with_map_projection(observations: Observations, auto: Auto) -> tuple[Observa
         least_bend = np.inf if choice is None else NOTICEABLE * _typical_error(choice)
     if bend < least_bend:
         return as_given
-    lon, lat = np.degrees(_middle(angles_of(plan))).round().astype(int).tolist()
-    lon = (lon + 180) % 360 - 180
+    middle_lon, middle_lat = _middle(angles_of(plan)).tolist()
+    lon, lat = _whole_degrees(middle_lon), round(np.degrees(middle_lat))
     given = "degrees" if is_in_degrees(features.crs) else short_crs_name(features.crs)
     bent = f"{given} would bend a map that is true to scale by {bend:.2g} px"
     try:
@@ -112,7 +112,7 @@ def with_map_projection(observations: Observations, auto: Auto) -> tuple[Observa
     # A projection must be clearly better than the coordinates as they are.
     error_as_given = _typical_error(choice)
     best, best_error = None, error_as_given / CLEARLY
-    for crs in (azimuthal, *_projections_of_the_world(features.crs, angles_of(plan), lon)):
+    for crs in (azimuthal, *_projections_of_the_world(features, plan, angles_of)):
         projected = observations.fitted_in(crs)
         held_out_error = _held_out_error_in(projected, auto)
         if held_out_error < best_error:
@@ -124,14 +124,25 @@ def with_map_projection(observations: Observations, auto: Auto) -> tuple[Observa
               f"{error_as_given:.3g} px (RMSE; of ten points and more without the worst tenth)")
 
 
-def _projections_of_the_world(crs: str, angles: FloatArray, lon: int) -> tuple[str, ...]:
-    """Return the projections to try for maps of the world, by longitudes and latitudes of control.
+def _projections_of_the_world(
+        features: FeatureSet, plan: FloatArray,
+        angles_of: Callable[[FloatArray], FloatArray]) -> tuple[str, ...]:
+    """Return the projections to try for maps of the world.
 
-    `angles` (n, 2) are in radians; `lon` is the longitude of their middle [deg].
+    `angles_of` takes x and y, such as those of the control, `plan` (n, 2), to longitudes and
+    latitudes [rad].
     """
-    mercator = mercator_crs(crs, lon)
+    crs = features.crs
+    angles = angles_of(plan)
+    lon = _whole_degrees(_middle(angles)[0])
     if np.ptp(angles[:, 0]) < WIDE:
-        return (mercator,)
+        return (mercator_crs(crs, lon),)
+    # Mercator's projection is the same about any meridian, but for where it is cut. A map of more
+    # than half of the world is cut at its edges, both of which are its places.
+    meridian_of_map = lon
+    if features.x_start is not None:
+        middle = [features.x_start + turn_of(crs) / 2.0, plan[:, 1].mean()]
+        meridian_of_map = _whole_degrees(angles_of(np.array([middle]))[0, 0])
     # x is the longitude times a function of the latitude, and bends about another meridian. That of
     # Greenwich may be in the middle of 360 degrees that hold the control.
     widest = (360.0 - np.degrees(np.ptp(angles[:, 0]))) / 2.0
@@ -140,7 +151,12 @@ def _projections_of_the_world(crs: str, angles: FloatArray, lon: int) -> tuple[s
         meridians.append(lon)
     ovals = [crs_of_oval for meridian in meridians
              for crs_of_oval in crss_of_the_world(crs, meridian)]
-    return (mercator, *ovals)
+    return (mercator_crs(crs, meridian_of_map), *ovals)
+
+
+def _whole_degrees(longitude: float) -> int:
+    """Return a longitude [rad] in whole degrees from -180 up to 180."""
+    return (round(float(np.degrees(longitude))) + 180) % 360 - 180
 
 
 def _note(observations: Observations, reason: str) -> str:
@@ -153,7 +169,8 @@ def _note(observations: Observations, reason: str) -> str:
 def _plan(features: FeatureSet) -> FloatArray:
     """Return x and y of points, (n, 2); longitudes go on beyond 180 degrees."""
     plan = features.points.ground[:, :2]
-    if not is_in_degrees(features.crs):
+    # Those of a map of more than half of the world go on as they are.
+    if not is_in_degrees(features.crs) or features.x_start is not None:
         return plan
     unit, _ = axes_of_degrees(normalise(features.crs))
     return np.column_stack([unwrap_longitudes(plan[:, 0], TURN / unit), plan[:, 1]])

@@ -23,6 +23,9 @@ from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 TURN = 360.0
 """A full turn [deg]."""
 
+SAME_PLACE = 1e-9
+"""Part of a turn within which longitudes are the same."""
+
 _CYLINDRICAL = re.compile("(?!.*(Transverse|Oblique)).*(Mercator|Cylindrical|Miller|Gall)")
 """Methods of projections in which x may be proportional to the longitude."""
 
@@ -52,6 +55,16 @@ def nearest_longitudes(lon: FloatArray, middle: float, turn: float = TURN) -> Fl
     They stay as they are where the turn is 0, as `turn_of` has it for x that does not repeat.
     """
     return np.asarray(lon - turn * np.round((lon - middle) / turn)) if turn else lon
+
+
+def within_turn(lon: FloatArray, start: float, turn: float) -> FloatArray:
+    """Return longitudes [deg], (...), each moved by whole turns to lie within a turn of a start.
+
+    Both ends belong to that turn; rounding moves none. Infinite ones stay.
+    """
+    turns = (lon - start) / turn
+    is_outside = ((turns < -SAME_PLACE) | (turns > 1.0 + SAME_PLACE)) & np.isfinite(turns)
+    return np.asarray(lon - turn * np.floor(np.where(is_outside, turns, 0.0)))
 
 
 @lru_cache  # PROJ takes milliseconds, and each scaling asks
@@ -103,9 +116,9 @@ def has_longitude_jump(features: FeatureSet) -> bool:
 def without_jump(features: FeatureSet) -> FeatureSet:
     """Return features whose longitudes, or x, go on where they would jump by a full turn.
 
-    Control and check points decide where the scene is, and the others follow by whole turns. The
-    same object comes back if nothing jumps, if no vertex decides, and if the deciding ones span
-    more than a turn.
+    Control and check points decide where the scene is, and the others follow by whole turns. Where
+    they span more than half a turn, `x_start` is set. The same object comes back if they span less
+    and nothing jumps, if no vertex decides, and if the deciding ones span more than a turn.
     """
     if not _may_jump(features):
         return features
@@ -113,13 +126,16 @@ def without_jump(features: FeatureSet) -> FeatureSet:
     lines = features.lines
     all_longitudes = features.ground_vertices()[:, 0]
     turn = turn_of(features.crs)
-    if not _deciding_vertices(features).any():
+    decides = _deciding_vertices(features)
+    if not decides.any():
         return features
     lon = _continuous_longitudes(features)
     if np.ptp(lon) > turn:
         return features
-    # Within half a turn of the middle of the scene, all are on its side of the jump.
-    unwrapped = nearest_longitudes(all_longitudes, float(lon.min() + lon.max()) / 2, turn)
+    start = _start_of_map(lon, turn, as_written=bool((lon == all_longitudes[decides]).all()))
+    if np.ptp(lon) > turn / 2:
+        features = replace(features, x_start=start)
+    unwrapped = within_turn(all_longitudes, start, turn)
     if (unwrapped == all_longitudes).all():
         return features
     ground_of_points = points.ground.copy()
@@ -128,6 +144,35 @@ def without_jump(features: FeatureSet) -> FeatureSet:
     ground_of_lines[..., 0] = unwrapped[len(points):].reshape(-1, 2)
     return features.with_(points=replace(points, ground=ground_of_points),
                           lines=replace(lines, ground=ground_of_lines))
+
+
+def beside_control(x: FloatArray, control: FeatureSet) -> FloatArray:
+    """Return longitudes, or x, (n,), by whole turns next to the control.
+
+    Of a map of more than half of the world they are those between its edges.
+    """
+    turn = turn_of(control.crs)
+    if not turn:
+        return x
+    of_control = control.ground_vertices()[:, 0]
+    middle = float(of_control.min() + of_control.max()) / 2
+    return (nearest_longitudes(x, middle, turn) if control.x_start is None
+            else within_turn(x, control.x_start, turn))
+
+
+def _start_of_map(lon: FloatArray, turn: float, *, as_written: bool) -> float:
+    """Return the longitude, or x, at which the turn begins in which all places are meant.
+
+    It lies half a turn before the middle of the scene. A map of more than half of the world hardly
+    begins there, though: where its longitudes go on `as_written`, it begins where these count from,
+    at -180 or 0 degrees.
+    """
+    low, high = float(lon.min()), float(lon.max())
+    if as_written and high - low > turn / 2:
+        for start in (-turn / 2, 0.0):
+            if low >= start and high <= start + turn:
+                return start
+    return (low + high) / 2 - turn / 2
 
 
 def _may_jump(features: FeatureSet) -> bool:
@@ -147,18 +192,28 @@ def _continuous_longitudes(features: FeatureSet) -> FloatArray:
     If they span more than half a turn, the image of enough points may show where the map begins.
     """
     turn = turn_of(features.crs)
-    lon = unwrap_longitudes(features.ground_vertices()[_deciding_vertices(features), 0], turn)
+    written = features.ground_vertices()[_deciding_vertices(features), 0]
+    lon = unwrap_longitudes(written, turn)
     points = features.points
     decides = ~_is_set_aside(points)
+    count = int(decides.sum())
+    ground, image = points.ground[decides, :2], points.image[decides]
+    # Few places of a map of the world may leave half of it empty: nothing jumps then.
+    if count >= LEAST_TO_DOUBT and (lon != written).any():
+        of_points = np.stack([lon[:count], written[:count]])
+        continuous_misfit, written_misfit = _misfits_of_affine(of_points, ground[:, 1], image)
+        if written_misfit < CLEARER_SEAM * continuous_misfit:
+            lon = written
     # Of longitudes within half a turn there is only one order.
-    if np.ptp(lon) <= turn / 2 or decides.sum() < LEAST_FOR_SEAM:
+    if np.ptp(lon) <= turn / 2 or count < LEAST_FOR_SEAM:
         return lon
-    start = _seam_by_image(points.ground[decides, :2], points.image[decides], turn)
+    start = _seam_by_image(ground, image, turn)
     return lon if start is None else start + (lon - start) % turn
 
 
-LEAST_FOR_SEAM = 8
-"""Points from which an image shows where a map of the world begins."""
+LEAST_FOR_SEAM, LEAST_TO_DOUBT = 8, 4
+"""Points from which an image shows where a map of the world begins, and from which on it shows
+that longitudes do not jump, though they leave half of the Earth empty."""
 
 CLEARER_SEAM = 0.4
 """Part of the misfit as the longitudes are written to which another seam must bring it."""
@@ -189,13 +244,21 @@ def _seam_by_image(ground: FloatArray, image: FloatArray, turn: float) -> float 
     # Row 0 has the longitudes as they are, each further row those of a map that begins at a start.
     from_starts = starts[:, None] + (lon - starts[:, None]) % turn
     candidates = np.concatenate([lon[None], from_starts])
-    # The columns of the affine transformation are 1, longitude and latitude.
-    columns = np.stack(np.broadcast_arrays(1.0, candidates, ground[:, 1]), axis=-1)
-    basis = np.linalg.qr(columns)[0]
-    residuals = image - basis @ (basis.transpose(0, 2, 1) @ image)
-    misfits = np.sqrt((residuals**2).sum(axis=(1, 2)))
+    misfits = _misfits_of_affine(candidates, ground[:, 1], image)
     best = int(np.argmin(misfits[1:]))
     return float(starts[best]) if misfits[1 + best] < CLEARER_SEAM * misfits[0] else None
+
+
+def _misfits_of_affine(lon: FloatArray, lat: FloatArray, image: FloatArray) -> FloatArray:
+    """Return the roots of the summed squared residuals [px] of affine transformations, (c,).
+
+    They take longitudes (c, n), of c candidates, and latitudes (n,) to lines and samples (n, 2).
+    """
+    # The columns of the affine transformation are 1, longitude and latitude.
+    columns = np.stack(np.broadcast_arrays(1.0, lon, lat), axis=-1)
+    basis = np.linalg.qr(columns)[0]
+    residuals = image - basis @ (basis.transpose(0, 2, 1) @ image)
+    return np.asarray(np.sqrt((residuals**2).sum(axis=(1, 2))))
 
 
 def _is_set_aside(points: Points) -> BoolArray:

@@ -242,6 +242,8 @@ class ScalingNumbers(RecordPart, frozen=True):
     """CRS of the fit, where x, y and z are transformed before the fit."""
     x_turn: float = 0.0
     """360 where x is a longitude, which is the same after a full turn."""
+    x_start: float | None = None
+    """x at which a map of more than half of the world begins; null for other images."""
 
 
 class FitRecord(RecordPart, frozen=True):
