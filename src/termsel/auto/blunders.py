@@ -257,8 +257,8 @@ def _with_predicted_by_models(control: FitData, auto: Auto, used: BoolArray,
     """Return a mask (n,) of the features in use and of those that the model of these predicts.
 
     Another model, such as an RFM, may predict what the polynomial of the tests does not. The choice
-    is repeated with what is taken in, until nothing more is. Only what the mask `predictable` (n,)
-    has is taken in.
+    is repeated with what is taken in, until nothing more is. `used` (n,) is the mask to begin with;
+    only what the mask `predictable` (n,) has is taken in.
     """
     while not used.all():
         choice = auto.choose(control.take(used), with_contained=False)
@@ -275,8 +275,9 @@ def _without_likely_blunders(control: FitData, used: BoolArray, max_share: float
     """Return a mask (n,) of the features in use, without points that are likelier blunders.
 
     The likeliest blunder goes first, and the remaining points are judged again: without the worst
-    error the next may look innocent. None goes where that would put more than `max_share` of all
-    features out of use, and none of few points or where there are lines.
+    error the next may look innocent. `used` (n,) is the mask to begin with. None goes where that
+    puts more than `max_share` of all features out of use, and none of few points or where there are
+    lines.
     """
     # With few points a probable blunder may be half of what there is.
     if len(control) < MIN_PROBABLE_POINTS or len(control.features.lines):
@@ -373,8 +374,9 @@ def _judge_by_projection(control: FitData, auto: Auto,
     """Return a mask of points in use (n,), and their test, by a projection or a known camera.
 
     Polynomials follow an oblique view so badly that their residuals hide blunders, and make sound
-    points look like some. Returns None with lines, where the method chosen for the points in use is
-    neither a central projection nor a known camera, and where it gives no test.
+    points look like some. `used` (n,) is the mask to begin with. Returns None with lines, where the
+    method chosen for the points in use is neither a central projection nor a known camera, and
+    where it gives no test.
     """
     if len(control.features.lines):
         return None
@@ -589,7 +591,8 @@ def _readmit_predicted(control: FitData, used: BoolArray, test: Test, test_of_al
     """Return a mask (n,) of the features in use, and their test, when no more come and go.
 
     Features that those in use predict are admitted again, those they no longer predict are left
-    out.
+    out. The mask `used` (n,) and its `test` are the start; `test_of_all` and `test_of` make the
+    tests of all features and of others.
     """
     n = len(control)
     earlier_sets = set[bytes]()
@@ -688,7 +691,8 @@ def _judge_by_field(control: FitData, used: BoolArray, test: Test,
     """Return a mask (n,) of the features in use, and their test, judged again by a random field.
 
     Under a field local deformation is no blunder, and an error may be one though a polynomial
-    leaves as much elsewhere. Where the points support no field, both are returned as they were.
+    leaves as much elsewhere. Where the points support no field, or more than `max_share` are out of
+    use, `used` (n,) and `test` are returned as they were.
     """
     n = len(control)
     earlier_sets = set[bytes]()

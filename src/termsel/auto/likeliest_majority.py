@@ -272,7 +272,7 @@ class Likelihoods:
         return np.concatenate(sets)
 
     def is_contradicted(self, used: BoolArray) -> bool:
-        """Return whether a set (n,) shows more than a third of all points to be gross blunders.
+        """Return whether a set, a mask (n,), shows more than a third of all to be gross blunders.
 
         Errors that may be relief, or a bend of the image, do not make blunders.
         """

@@ -199,7 +199,8 @@ def closest_halves(designs: Sequence[FloatArray], image: FloatArray, is_affine: 
     """Return the closest halves, masks (n,), of each design, the least trimmed squares first.
 
     Random samples are of the first design (n, k), whose columns `is_affine` (k,) are affine. The
-    halves of each further design are sought from those of the design before it.
+    halves of each further design are sought from those of the design before it. `image` (n, 2) are
+    the positions that are fitted.
     """
     # Affine samples need few points, so that more of them have no blunder; others bend as well.
     sampled_designs = [designs[0][:, is_affine]]
@@ -225,7 +226,7 @@ def _best_random_halves(design: FloatArray, image: FloatArray,
 
     A sample of k points determines the k coefficients of a polynomial; the half of the sample are
     the n // 2 points closest to it. Samples are the better, the smaller the sum of squares of their
-    half is.
+    half is. `design` (n, k) are the terms of the polynomial, `image` (n, 2) the positions.
     """
     n, k = design.shape
     # The k lowest of n random numbers are a sample without repetition.
@@ -257,7 +258,8 @@ def _concentrate_halves(design: FloatArray, image: FloatArray,
     """Return the least trimmed squares (m,) to which refitting m halves leads, and these, (m, n).
 
     Trimmed squares are the sum of squares over a half. A step fits the polynomial to each half, and
-    takes the points closest to that fit as its next half.
+    takes the points closest to that fit as its next half. `halves` (m, n) are masks, `design` (n,
+    k) the terms of the polynomial and `image` (n, 2) the positions.
     """
     count = (len(design) + 1) // 2
     halves = halves.copy()
@@ -281,8 +283,9 @@ def _concentrate_halves(design: FloatArray, image: FloatArray,
 
 def _points_agreeing_with(design: FloatArray, image: FloatArray,
                           half: BoolArray) -> tuple[BoolArray, FloatArray]:
-    """Return which points agree with a half, and the strain of each point, (n,) both.
+    """Return a mask of the points that agree with a half, and the strain of each, (n,) both.
 
+    `design` (n, k) are the terms of the polynomial, `image` (n, 2) the positions, `half` is a mask.
     The strain is against the points that agree, 1 being the limit. Starting from the half, the
     closest of the others are added a few at a time, as a blunder among many new points would bend
     the fit towards further ones (forward search, Atkinson and Riani 2000). The search ends before
@@ -311,8 +314,9 @@ def _points_agreeing_with(design: FloatArray, image: FloatArray,
 def _noise_and_strains(
     design: FloatArray, image: FloatArray, used: BoolArray
 ) -> tuple[float, FloatArray]:
-    """Return the noise of the points in use, and the strain of each point (n,).
+    """Return the noise of the points in use, by the mask `used`, and the strain of each point (n,).
 
+    `design` (n, k) are the terms of the polynomial, `image` (n, 2) the positions.
     The strain is a point's distance from the fit divided by the largest that an agreeing point may
     have. As few points leave the noise uncertain, this limit is a quantile of Student's
     distribution: as improbable as AGREEING_STRAIN standard deviations of a normal error.

@@ -85,8 +85,9 @@ def misplaced_points(points: Points) -> tuple[BoolArray, BoolArray]:
 
 def _explained_by_foreshortening(plan: FloatArray, image: FloatArray,
                                  in_core: BoolArray) -> BoolArray:
-    """Return which points, (n,), a change of scale like that within the core (n,) may put there.
+    """Return a mask (n,) of the points that a change of scale as within the core may put there.
 
+    `plan` and `image` (n, 2) are places and positions, `in_core` (n,) is the mask of the core.
     Points of the core are held against the affine map of its others: with the leverage h and the
     residual r their error is r / (1 - h). Other points are predicted with the variance 1 + h.
     """

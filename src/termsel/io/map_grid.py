@@ -132,7 +132,10 @@ def _metric_crs(result: Result) -> str:
 
 
 def _warn_of_wide_area(positions: FloatArray) -> None:
-    """Warn where an area is too wide for a zone of UTM, given longitudes and latitudes [deg]."""
+    """Warn where an area is too wide for a zone of UTM.
+
+    `positions` (n, 2 or more) begin with longitudes and latitudes [deg].
+    """
     # The scale of a transverse Mercator projection grows from its meridian as 1 + d^2 / 2, where d
     # is the distance from it in radii of the Earth: difference of longitudes times cos(latitude).
     lon = np.radians(positions[:, 0] - (positions[:, 0].min() + positions[:, 0].max()) / 2)

@@ -331,7 +331,11 @@ class RationalModel(SensorModel):
         return self._denominators(coefficients, self._columns(ground))
 
     def _denominators(self, coefficients: FloatArray, columns: Columns) -> FloatArray | None:
-        """Return denominators (..., n, 2) of line and sample; None if the model has none."""
+        """Return denominators (..., n, 2) of line and sample; None if the model has none.
+
+        `coefficients` (..., k) are those of all terms, `columns` what `_columns` returns of n
+        places.
+        """
         if not columns.keys() & {"line_denominator", "sample_denominator", "shared_denominator"}:
             return None
         # A denominator is 1 + d c, its own or that of both axes.
@@ -344,7 +348,11 @@ class RationalModel(SensorModel):
 
     @staticmethod
     def _axis_forms(coefficients: FloatArray, columns: Columns, *names: str) -> FloatArray:
-        """Return the linear forms of a line block and a sample block, shape (..., n, 2)."""
+        """Return the linear forms of a line block and a sample block, shape (..., n, 2).
+
+        `names` are those of the two blocks; `coefficients` and `columns` are as for
+        `_denominators`. A block that the model does not have has the form 0.
+        """
         n = len(next(iter(columns.values()))[1])
         # One axis may have a block that the other one has not: its form is 0 there.
         forms = np.zeros((*coefficients.shape[:-1], n, 2))
@@ -450,7 +458,8 @@ def pole_violation(model: SensorModel, coefficients: FloatArray, ground: FloatAr
                    margin: float = POLE_MARGIN) -> FloatArray:
     """Return how far denominators fall below a margin, shape (p,), at most LARGEST_SHORTFALL.
 
-    0 is safe, and is returned for a model without denominators. `coefficients` (p, k) are p sets.
+    0 is safe, and is returned for a model without denominators. `coefficients` (p, k) are p sets,
+    and `ground` (n, 3) the scaled places at which denominators are computed.
     """
     below = model.denominators(coefficients, ground)
     if below is None:

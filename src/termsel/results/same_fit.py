@@ -149,7 +149,7 @@ def _array_of_terms(model: SensorModel, values: Mapping[str, float | None],
 
 def fit_of_selection(model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
                      used: BoolArray, check: Points, iterated: bool | None = None) -> Fit:
-    """Return the fit of selected terms (k,) and features in use (n,), as a run makes it.
+    """Return the fit of selected terms, a mask (k,), and features in use, a mask (n,).
 
     Lines under separate denominators are fitted by iteration. With `iterated` True the last step is
     returned, with False the first, which the search judged. With None it is the last, or the first

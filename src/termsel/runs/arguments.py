@@ -40,7 +40,10 @@ def argument_meant(name: str, value: object) -> str:
 
 
 def files_by_name(values: tuple[object, ...]) -> str:
-    """Return how the files are given that were given to `run` by position."""
+    """Return how the files are to be given that were given to `run` by position.
+
+    `values` are all arguments by position, of which the first may be the name of a problem.
+    """
     first, second = (repr(str(value)) if isinstance(value, str | Path) else "..."
                      for value in values[:2])
     is_problem = isinstance(values[0], str) and registry().known("problems", values[0]) is not None

@@ -179,7 +179,8 @@ def judge_choice(method: Method, predicted: float | None, rmse: Rmses,
 def best_conventional(method: Method, baselines: tuple[Baseline, ...]) -> str:
     """Return the name of the conventional model that cross-validation prefers.
 
-    `method`, which was chosen, is no rival of its own. Returns "" if no rival was judged.
+    It is that with the least RMSE of held-out features among the `baselines`. `method`, which was
+    chosen, is no rival of its own. Returns "" if no rival was judged.
     """
     rmse_of_rival = {}
     for row in baselines:
@@ -193,7 +194,10 @@ def best_conventional(method: Method, baselines: tuple[Baseline, ...]) -> str:
 
 def _conventional_in_hindsight(rmse: float, named: Baseline,
                                conventional: list[tuple[Baseline, str]]) -> Iterator[str]:
-    """Yield which conventional model is better at the independent points, if one but `named` is."""
+    """Yield which conventional model is better at the independent points, if one but `named` is.
+
+    `rmse` is that of the chosen model there [px].
+    """
     best, title = min(conventional, key=lambda rival: _independent_rmse(rival[0]))
     # Said apart, as these points chose it in hindsight.
     ratio = _error_ratio(rmse, _independent_rmse(best))

@@ -163,7 +163,10 @@ OFF_IN_WORDS = "take no part (role off, or switched off in QGIS)"
 
 
 def _remedy_for_few(observations: Observations, fewest: int, named_off: str | None) -> str:
-    """Return what helps against too few control points or lines: those that have another role."""
+    """Return what helps against too few control points or lines: those that have another role.
+
+    `fewest` are needed, and `named_off` are the ids that --off names, None for none.
+    """
     total = len(observations.features)
     if total < fewest:
         return "Measure more."

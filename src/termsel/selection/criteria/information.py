@@ -100,7 +100,10 @@ class Ebic(Criterion):
 
     def _criterion_of_system(self, rss: FloatArray, n: int, k: IntArray, offered: int,
                              n_chosen: IntArray) -> FloatArray:
-        """Return the criterion of one system, (p,): n equations, k terms, n_chosen of `offered`."""
+        """Return the criterion of one system, (p,): n equations, k terms, n_chosen of `offered`.
+
+        `rss` (p,) are the residual sums of squares of p selections.
+        """
         min_redundancy = self.options["min_redundancy"]
         min_redundancy = max(1, round(n / 3)) if min_redundancy is None else min_redundancy
         # ln C(P, j) for j = 0, ..., P; RSS / n of what is explained to rounding counts as rounding.
