@@ -12,6 +12,7 @@ import pytest
 
 import termsel
 from termsel.data.coordinates.longitudes import (
+    from_start,
     has_longitude_jump,
     turn_of,
     unwrap_longitudes,
@@ -149,6 +150,12 @@ def test_longitudes_that_go_on(given: list[float], expected: list[float]) -> Non
     assert np.ptp(unwrap_longitudes(np.array(given))) == pytest.approx(np.ptp(expected))
 
 
+def test_the_first_place_of_a_map_is_not_a_turn_further_by_rounding() -> None:
+    lon = np.random.default_rng(1).uniform(0.0, 360.0, 1000)
+    starts = (lon + 180.0) % 360.0 - 180.0
+    np.testing.assert_allclose(from_start(lon, starts, 360.0), starts, rtol=0, atol=1e-9)
+
+
 PACIFIC = "+proj=eqc +lon_0=160 +R=6371000"
 """Maps of the world whose edges are at 20 W."""
 
@@ -167,9 +174,11 @@ def map_of_the_world(projection: str, west: float, east: float, low: float = -18
     return FeatureSet(points, crs="EPSG:4326")
 
 
-@pytest.mark.parametrize(("west", "east"), [(60.0, 340.0), (-18.0, 338.0)])
-def test_a_map_of_the_world_begins_where_its_image_does(west: float, east: float) -> None:
-    jumping = map_of_the_world(PACIFIC, west, east)
+@pytest.mark.parametrize(("west", "east", "low"), [
+    (60.0, 340.0, -180.0), (-18.0, 338.0, -180.0), (-18.0, 338.0, 0.0)])
+def test_a_map_of_the_world_begins_where_its_image_does(
+        west: float, east: float, low: float) -> None:
+    jumping = map_of_the_world(PACIFIC, west, east, low)
     assert has_longitude_jump(jumping)
     moved = without_jump(jumping).points.ground[:, 0]
     from_the_edge = map_of_the_world(PACIFIC, west, east, low=west).points.ground[:, 0]

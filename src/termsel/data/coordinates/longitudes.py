@@ -67,6 +67,14 @@ def within_turn(lon: FloatArray, start: float, turn: float) -> FloatArray:
     return np.asarray(lon - turn * np.floor(np.where(is_outside, turns, 0.0)))
 
 
+def from_start(lon: FloatArray, start: FloatArray, turn: float) -> FloatArray:
+    """Return longitudes [deg], each moved by whole turns to lie at a start or within a turn of it.
+
+    Both are arrays of shapes that fit. What is before the start by rounding alone stays there.
+    """
+    return np.asarray(lon - turn * np.floor((lon - start) / turn + SAME_PLACE))
+
+
 @lru_cache  # PROJ takes milliseconds, and each scaling asks
 def turn_of(crs: str) -> float:
     """Return what a full turn around the Earth adds to x in a CRS, in the units of x.
@@ -208,7 +216,7 @@ def _continuous_longitudes(features: FeatureSet) -> FloatArray:
     if np.ptp(lon) <= turn / 2 or count < LEAST_FOR_SEAM:
         return lon
     start = _seam_by_image(ground, image, turn)
-    return lon if start is None else start + (lon - start) % turn
+    return lon if start is None else from_start(lon, np.array(start), turn)
 
 
 LEAST_FOR_SEAM, LEAST_TO_DOUBT = 8, 4
@@ -242,7 +250,7 @@ def _seam_by_image(ground: FloatArray, image: FloatArray, turn: float) -> float 
     lon = ground[:, 0]
     starts = np.unique((lon + turn / 2) % turn - turn / 2)
     # Row 0 has the longitudes as they are, each further row those of a map that begins at a start.
-    from_starts = starts[:, None] + (lon - starts[:, None]) % turn
+    from_starts = from_start(lon, starts[:, None], turn)
     candidates = np.concatenate([lon[None], from_starts])
     misfits = _misfits_of_affine(candidates, ground[:, 1], image)
     best = int(np.argmin(misfits[1:]))
