@@ -336,6 +336,10 @@ projection of twelve points, but for what few residuals show: there, too, the st
 too small. Where no model has the form of the image, as of a fisheye, a field of unknown smoothness
 stands in: it is as rough in the middle of the image as at its edges, where nearly all of the
 distortion is, so that they are too large.
+
+Photographs without any distortion have deviations that are too large, even with many points: what
+changes faster than the distance of points, by less than their noise, is not excluded by them, and
+no photograph says of itself that its lens is perfect.
 """
 
 
