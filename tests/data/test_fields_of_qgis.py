@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from termsel.data.tables.columns import _FURTHER, POINTS, columns_by_meaning
+import termsel
+from termsel.data.tables.columns import _FURTHER, POINTS, columns_by_meaning, fold_name
+from termsel.formats.readers.flags import _CHECKS, _EITHER, _IN_USE, _OUT_OF_USE
 
 PLUGIN = Path(__file__).parents[2] / "plugins" / "qgis-termsel" / "qgis_termsel"
 
@@ -36,9 +38,26 @@ def test_units_accents_and_signs_count_for_nothing() -> None:
     assert field_of("role", fields) is None
 
 
+def test_all_names_of_flags_and_deviations_are_passed_on() -> None:
+    names = [*_IN_USE, *_OUT_OF_USE, *_EITHER, *_CHECKS, *POINTS["enabled"],
+             *dict.fromkeys([*POINTS["sigma_line"], *POINTS["sigma_sample"]]), "Sigma_line [px]"]
+    assert field_names.passed_on([*names, "Easting", "note", "use"], ["use"]) == [
+        name for name in names if name != "use"]
+    words = map(fold_name, field_names.PASSED_ON.split())
+    assert set(words) <= {fold_name(name) for name in names}
+
+
 @pytest.mark.parametrize(("field", "heading"), [
     ("H [km]", "z [km]"), ("z_ft", "z_ft"), ("Höhe (cm)", "z (cm)"), ("altitude", "z"),
     (None, "z")])
 def test_units_in_names_of_fields_reach_the_command_line(field: str | None, heading: str) -> None:
     assert field_names.heading("z", field).replace(" ", "") == heading.replace(" ", "")
     assert field is None or field_of("z", ["name", field]) == field
+
+
+def test_a_korean_flag_leaves_points_out(caplog: pytest.LogCaptureFixture, tmp_path: Path) -> None:
+    path = tmp_path / "flags.csv"
+    path.write_text("id,line,sample,x,y,사용\nA,1,2,30,40,1\nB,9,3,31,48,0\nC,4,8,36,43,1\n",
+                    encoding="utf-8")
+    assert termsel.read(path, crs="local").points.roles == ("", "off", "")
+    assert "by column '사용', 1 of 3 rows is not used" in caplog.text

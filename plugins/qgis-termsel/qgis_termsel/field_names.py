@@ -14,7 +14,7 @@ KNOWN = {
           "idpunto nome ponto punt puntnummer nazwa naam 点 点号 點號 点名 编号 序号 名称 id号 bod "
           "cislobodu pont pontszam nokta tunnus punctul tocka tocke точка точки номер "
           "номерточки назва σημειο 点番号 점 점번호 fid",
-    "role": "role use",
+    "role": "role",
     "line": "line row ypx lin lines rows ypix ypixel pixely py imgy imagey yimg yimage lineno "
           "yimagen yimagem imy imrow imgrow imagerow fil renglon yпикс "
           "zeile bildzeile bildy ligne rangee fila linea riga linha wiersz rij regel 行 行号 行数 "
@@ -32,6 +32,22 @@ KNOWN = {
           "hoogte pointz ellipsoidalheight ellheight 高程 高度 高 大地高 海拔 vyska magassag "
           "yukseklik korkeus hojd høyde højde visina высота висота υψομετρο 標高 고도 표고"}
 """Names of each meaning, without accents and signs, the usual ones first."""
+
+PASSED_ON = ("enabled enable sigmaline sigmasample sigmapx use used inuse isused "
+             "active isactive activated valid isvalid ok accepted inlier isinlier "
+             "benutzen benutzt verwenden verwendet aktiv gultig utiliser utilise actif "
+             "valide usar usado activo activado valido uso ativo ativado usato attivo "
+             "gebruikt actief uzyty aktywny pouzit aktivni aktivt использовать "
+             "используется вкл включена включен активна активен 使用 启用 有效 사용 outlier "
+             "isoutlier blunder isblunder excluded exclude ignore ignored disabled "
+             "disable rejected reject isrejected skip deleted ausreisser "
+             "ausgeschlossen ignorieren gesperrt aberrant exclu ignorer excluido "
+             "excluir ignorar atipico escluso ignorato исключить исключена выкл выброс "
+             "排除 禁用 粗差 status state flag estado stato statut zustand статус check "
+             "ischeck checkpoint ischeckpoint checkpt cp iscp validation test istest "
+             "testpoint independent isindependent holdout kontrollpunkt prufpunkt "
+             "pruefpunkt verificacion verifica controle контроль контрольная 检查点 检核点")
+"""Names of fields that tell which points are used, or how exact they are: termsel reads them."""
 
 _UNIT = re.compile(r"\s*[\[({<【].*$|[\s_.-]+(px|pix|pixels?|m|km|ft|feet|us[_-]?ft|gon|rad|deg|"
                    r"degrees?|dms|wgs84|utm)$", re.IGNORECASE)
@@ -58,6 +74,17 @@ def field_of(meaning, fields):
         forms.setdefault(fold_name(_UNIT.sub("", normal)), name)
     known = map(fold_name, KNOWN[meaning].split())
     return next((forms[name] for name in known if name in forms), None)
+
+
+def passed_on(fields, taken):
+    """Return the names of the fields that termsel reads beside those that are `taken`.
+
+    Whether a point is used, and how exact it is, is so read as from any other table.
+    """
+    known = set(map(fold_name, PASSED_ON.split()))
+    # "sigma_px" is known as it is, "sigma_line [px]" without its unit.
+    return [name for name in fields if name not in taken
+            and known.intersection([fold_name(name), fold_name(_UNIT.sub("", name.strip()))])]
 
 
 def heading(meaning, field):

@@ -27,7 +27,7 @@ from qgis.core import (
 )
 from qgis.PyQt.QtGui import QColor
 
-from .field_names import KNOWN, field_of, heading
+from .field_names import KNOWN, field_of, heading, passed_on
 
 
 def points_csv(source, fields):
@@ -59,11 +59,12 @@ def points_csv(source, fields):
                 f"The layer of points has no field that is known as {meaning}. State which it is; "
                 f"its fields are {', '.join(field.name() for field in source.fields())}.")
     path = QgsProcessingUtils.generateTempFilename("points.csv")
-    rows = [_point_cells(feature, names, number)
+    further = passed_on([field.name() for field in source.fields()], names.values())
+    rows = [[*_point_cells(feature, names, number), *(_cell(feature, name) for name in further)]
             for number, feature in enumerate(source.getFeatures(), 1)]
     headings = {meaning: heading(meaning, field) for meaning, field in names.items()}
     write_table(path, [["id", "role", headings["line"], headings["sample"], "x", "y",
-                        headings["z"]], *rows])
+                        headings["z"], *further], *rows])
     return path, crs_text(source.sourceCrs())
 
 
@@ -132,9 +133,7 @@ def _point_cells(feature, names, number):
 
     def cell(meaning):
         """Return the value of a field by its meaning; "" for NULL, and without such a field."""
-        # NULL of QGIS is an object that is neither None nor text.
-        value = feature[names[meaning]] if names[meaning] else None
-        return "" if value is None or str(value) == "NULL" else value
+        return _cell(feature, names[meaning]) if names[meaning] else ""
 
     for meaning in ("line", "sample"):
         # A decimal comma is left to termsel, which reads it.
@@ -152,6 +151,13 @@ def _point_cells(feature, names, number):
         height = repr(vertex.z())
     return [cell("id") or f"P{number}", cell("role"), cell("line"), cell("sample"),
             repr(vertex.x()), repr(vertex.y()), height]
+
+
+def _cell(feature, field):
+    """Return the value of a field of a feature; "" for NULL."""
+    # NULL of QGIS is an object that is neither None nor text.
+    value = feature[field]
+    return "" if value is None or str(value) == "NULL" else value
 
 
 def crs_text(crs):

@@ -34,8 +34,11 @@ Columns "in use" are true for rows in use, those "out of use" for the others; pr
 in both senses. Those of "checks" may be true for independent check points.
 """
 
-_TRUE, _FALSE, _IN_USE, _OUT_OF_USE, _EITHER, _CHECKS = (
-    frozenset(words.split()) for words in _WORDS.values())
+_TRUE, _FALSE = (frozenset(_WORDS[sense].split()) for sense in ("true", "false"))
+# Folded as the headings are that they are compared with, which takes Korean syllables apart.
+_IN_USE, _OUT_OF_USE, _EITHER, _CHECKS = (
+    frozenset(map(fold_name, _WORDS[sense].split()))
+    for sense in ("in use", "out of use", "either", "checks"))
 
 
 def truth_of(cell: str) -> bool | None:
