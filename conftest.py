@@ -23,6 +23,10 @@ import pytest
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
+# Modules are compiled once, as those of an installed termsel, and not by each process that a test
+# starts.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 MEMORY = pytest.StashKey[Any]()
 """Of the process: what was found of the features of its tests."""
