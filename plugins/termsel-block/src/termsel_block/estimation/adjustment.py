@@ -243,31 +243,11 @@ class _Run(Steps):
         of_ties, of_control = self.residuals()
         # The data determine trace(I - C V^-1) parameters, of which control determines the trace of
         # its hat matrix.
-        determined = by_control = rows = 0.0
-        squares = 0.0
-        for i, (control, covariance) in enumerate(zip(self.control, covariances, strict=True)):
-            determined += float((1 - np.diag(covariance) / state.variances[i]).sum())
-            if len(control):
-                used = state.control_in_use[i]
-                sigma = state.sigma_control * control.sigma
-                weight = soft_weights(of_control[i] / sigma) if robust else np.ones(len(control))
-                weight = weight * used
-                # h_n = a_n C a_n^T / s^2 of each row a_n, with the covariance C of the image's
-                # parameters. The rows must be those of the equations that have this covariance.
-                design = self.design[i]
-                hat = np.einsum("ni,ij,nj->n", design, covariance, design) / sigma**2
-                by_control += float((weight * hat).sum())
-                rows += float(weight.sum())
-                squares += float((weight * (of_control[i] / control.sigma) ** 2).sum())
-        total = 0.0
-        weights = 0.0
-        rays_of_tie = np.zeros(len(state.ties))
-        for measured, residual, used in zip(self.measured, of_ties, state.in_use, strict=True):
-            weight = used * (soft_weights(np.hypot(*residual.T) / state.sigma_ties) if robust
-                             else np.ones(len(used)))
-            total += float((weight * (residual**2).sum(axis=1)).sum())
-            weights += 2 * float(weight.sum())
-            np.add.at(rays_of_tie, measured.tie, weight)
+        determined = 0.0
+        for covariance, variances in zip(covariances, state.variances, strict=True):
+            determined += float((1 - np.diag(covariance) / variances).sum())
+        squares, rows, by_control = self._sums_of_control(of_control, robust)
+        total, weights, rays_of_tie = self._sums_of_ties(of_ties, robust)
         # The position of a tie takes three measurements, or as many as it has.
         freedom = float(
             weights - np.minimum(2 * rays_of_tie, 3).sum() - max(determined - by_control, 0.0))
@@ -291,6 +271,50 @@ class _Run(Steps):
         self.heights.estimate(state.ties, self.solved.of_ties, rays_of_tie > 1.0)
         after = np.array([state.sigma_ties, state.sigma_control, self.heights.sigma])
         return bool(np.abs(after / before - 1).max() < _SETTLED_CHANGE)
+
+    def _sums_of_control(self, of_control: Sequence[FloatArray],
+                         robust: bool) -> tuple[float, float, float]:
+        """Return the weighted squares, the weights and the leverages of control in use, summed up.
+
+        `of_control` has the residuals (r,) of each image; their squares are divided by the relative
+        variances of the rows. The leverages add up to the parameters that control determines.
+        """
+        state = self.state
+        squares = rows = by_control = 0.0
+        for i, (control, covariance) in enumerate(
+                zip(self.control, self.solved.image_covariances[:-1], strict=True)):
+            if not len(control):
+                continue
+            sigma = state.sigma_control * control.sigma
+            weight = soft_weights(of_control[i] / sigma) if robust else np.ones(len(control))
+            weight = weight * state.control_in_use[i]
+            # h_n = a_n C a_n^T / s^2 of each row a_n, with the covariance C of the image's
+            # parameters. The rows must be those of the equations that have this covariance.
+            design = self.design[i]
+            hat = np.einsum("ni,ij,nj->n", design, covariance, design) / sigma**2
+            by_control += float((weight * hat).sum())
+            rows += float(weight.sum())
+            squares += float((weight * (of_control[i] / control.sigma) ** 2).sum())
+        return squares, rows, by_control
+
+    def _sums_of_ties(self, of_ties: Sequence[FloatArray],
+                      robust: bool) -> tuple[float, float, FloatArray]:
+        """Return the weighted squares [px2] and the weights of ties, and the rays of each tie (t,).
+
+        `of_ties` has the residuals (m, 2) of each image, of which each counts for two. The rays of
+        a tie are the sum of the weights of its measurements.
+        """
+        state = self.state
+        total = 0.0
+        weights = 0.0
+        rays_of_tie = np.zeros(len(state.ties))
+        for measured, residual, used in zip(self.measured, of_ties, state.in_use, strict=True):
+            weight = used * (soft_weights(np.hypot(*residual.T) / state.sigma_ties) if robust
+                             else np.ones(len(used)))
+            total += float((weight * (residual**2).sum(axis=1)).sum())
+            weights += 2 * float(weight.sum())
+            np.add.at(rays_of_tie, measured.tie, weight)
+        return total, weights, rays_of_tie
 
     def grow(self, fixed: Sequence[bool]) -> bool:
         """Add columns to images whose residuals support them; return whether any got some.
