@@ -494,3 +494,19 @@ def test_a_projection_that_no_chance_explains_is_taken_though_four_points_hardly
     assert choice is not None
     assert choice.method.name == "projective"
     assert "projective would fit points of it as well in" in choice.reason
+
+
+def test_heights_count_where_residuals_say_so_though_four_points_hardly_predict() -> None:
+    """A satellite's image of five points in mountains: without heights 34 px are left."""
+    rows = np.array([
+        [410.772, 2535.867, 80.486474421, -32.120083192, 1560.6370],
+        [5805.365, 3007.968, 80.480818545, -32.159008240, 1132.6061],
+        [1905.972, 5713.435, 80.512461934, -32.133958705, 1543.6967],
+        [3779.023, 156.245, 80.458717485, -32.141657226, 1211.4388],
+        [2789.733, 2394.603, 80.481592446, -32.136761519, 1562.1808],
+    ])
+    choice = Auto().choose(FitData.of(FeatureSet(
+        Points(tuple("ABCDE"), rows[:, :2], rows[:, 2:]), crs="EPSG:4979")))
+    assert choice is not None
+    assert choice.method.name == "affine"
+    assert "affine would fit points of it as well in" in choice.reason

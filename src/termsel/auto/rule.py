@@ -331,7 +331,7 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
             explained: bool = True) -> Choice | None:
     """Return the choice among the fits of methods; None if there are none.
 
-    Where no method has a prior, the smallest RMSE decides, or how well a projection fits (see
+    Where no method has a prior, the smallest RMSE decides, or how well a wider model fits (see
     `_choice_without_prior`). Else one of the fits with a prior is the fit to beat (see
     `fit_to_beat`). Any method that no prior contains must be better than that by
     so many standard errors: CLEAR_MARGIN; for a central projection PROJECTION_MARGIN, or
@@ -379,25 +379,24 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
 def _choice_without_prior(compared: tuple[Fit, ...]) -> Choice:
     """Return the choice among fits without a prior: of five points with heights, for example.
 
-    It is the fit with the smallest RMSE of held-out features. Four of five points determine a
-    projection without redundancy, so that it may predict the fifth badly though it is the view of
-    the image. It is chosen all the same if points of the simpler model with the smallest RMSE would
-    be fitted as well by chance in at most CHANCE_OF_SIMILARITY of cases.
+    It is the fit with the smallest RMSE of held-out features, or a wider model whose residuals no
+    chance explains. Four of five points determine a projection, or an affine polynomial with
+    heights, without redundancy, so that it may predict the fifth badly though it is the geometry of
+    the image. A wider model is chosen where it would fit points of the model with the smallest RMSE
+    as well in at most CHANCE_OF_SIMILARITY of cases; of several, that of the least chance.
     """
     smallest = min(compared, key=beyond_rounding)
-    if method_of(smallest).central:
+    wider, least_chance = smallest, CHANCE_OF_SIMILARITY
+    for fitted in compared:
+        chance = _chance_if_true(smallest, fitted)
+        if chance is not None and chance <= least_chance:
+            wider, least_chance = fitted, chance
+    if wider is smallest:
         return Choice(smallest, compared, SMALLEST_RMSE_REASON)
-    for projection in compared:
-        if not method_of(projection).central:
-            continue
-        chance = _chance_if_true(smallest, projection)
-        if chance is not None and chance <= CHANCE_OF_SIMILARITY:
-            return Choice(
-                projection, compared,
-                f"{method_of(smallest).label} has the smallest leave-one-out RMSE, but "
-                f"{method_of(projection).label} would fit points of it as well in "
-                f"{percent_text(chance)} of cases.")
-    return Choice(smallest, compared, SMALLEST_RMSE_REASON)
+    return Choice(wider, compared,
+                  f"{method_of(smallest).label} has the smallest leave-one-out RMSE, but "
+                  f"{method_of(wider).label} would fit points of it as well in "
+                  f"{percent_text(least_chance)} of cases.")
 
 
 def fit_to_beat(priors: Sequence[Fit]) -> tuple[Fit, list[str]]:
@@ -477,7 +476,7 @@ def chance_of_similarity(fitted: Fit, compared: Iterable[Fit]) -> float:
     """
     similarities = [other for other in compared
                     if method_of(other).for_few and other.effective < UNKNOWNS_OF_AFFINE]
-    if not (method_of(fitted).central and similarities) or len(fitted.control.lines):
+    if not (method_of(fitted).central and similarities):
         return 0.0
     chance = _chance_if_true(min(similarities, key=_squares_left), fitted)
     return 0.0 if chance is None else chance
@@ -487,8 +486,10 @@ def _chance_if_true(simpler: Fit, wider: Fit) -> float | None:
     """Return how likely `wider` fits points as well as it does if the simpler model is true.
 
     It is the F test of both sums of squared residuals. Returns None if `wider` has no redundancy,
-    or no more unknowns than the simpler model.
+    or no more unknowns than the simpler model, and where there are lines.
     """
+    if len(wider.control.lines):
+        return None
     freedom = wider.adjustment.n_equations - wider.effective
     further_unknowns = wider.effective - simpler.effective
     if freedom <= 0.0 or further_unknowns <= 0.0:
