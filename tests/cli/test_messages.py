@@ -573,3 +573,20 @@ def test_a_pattern_or_a_folder_of_files_is_answered_by_what_it_has(
     done = CliRunner().invoke(cli, [command, *option, str(tmp_path)])
     assert f"{tmp_path}: this is a folder, expected a file" in done.stderr
     assert f"termsel compare --points '{pattern}' --out DIR" in done.stderr
+
+
+def test_one_column_for_two_meanings_is_refused(example_files: Path) -> None:
+    message = refused("run", str(example_files / "gcps.csv"), "--columns", "x=3,y=3")
+    assert "--columns takes this column for both x and y. Name a column for each" in message
+
+
+def test_a_command_of_a_package_left_out_is_not_taken_for_a_slip(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERMSEL_PLUGINS", "")
+    registry.cache_clear()
+    try:
+        message = refused("block", "block.toml")
+    finally:
+        monkeypatch.undo()
+        registry.cache_clear()
+    assert "Did you mean" not in message

@@ -10,7 +10,7 @@ import pytest
 
 import termsel
 import termsel.toolkit
-from termsel.core.python_words import in_python
+from termsel.core.remedies import ReadRemedy, Remedy, called_in_python, in_python
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
@@ -140,15 +140,52 @@ def test_messages_to_python_name_arguments_and_no_options(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize(("text", "words"), [
     ("Leave --crs out, or state --crs EPSG:4979.", "Leave crs out, or state crs='EPSG:4979'."),
-    ("Give --dem FILE or --height 12.5, in Python dem= or height=.",
-     "Give dem=FILE or height=12.5."),
+    ("Give --dem FILE or --height 12.5.", "Give dem=FILE or height=12.5."),
     ("Add --set swapped=xy; --no-final takes it", "Add swapped='xy'; final=False takes it"),
-    ("--solver exact or --method cubic, but --solver is", "solver='exact' or method='cubic', but "
-                                                          "solver is"),
     ("Of many: termsel compare --points 'a/*.csv' --out DIR. Leave --points out.",
      "Of many: termsel compare --points 'a/*.csv' --out DIR. Leave features out.")])
 def test_options_become_arguments(text: str, words: str) -> None:
     assert in_python(text, ("features", "crs", "options", "out")) == words
+
+
+@pytest.mark.parametrize(("remedy", "typed", "in_read"), [
+    (Remedy("solver", "exact"), "--solver exact", "solver='exact'"),
+    (Remedy("crs", "EPSG:4979"), "--crs EPSG:4979", "crs='EPSG:4979'"),
+    (Remedy("overwrite"), "--overwrite", "overwrite=True"), (Remedy("dem"), "--dem", "dem"),
+    (Remedy("points", "FILE"), "--points FILE", "features=FILE"),
+    (ReadRemedy("swapped", "xy"), "--set swapped=xy", "swapped='xy'")])
+def test_a_remedy_is_typed_as_its_reader_types(remedy: object, typed: str, in_read: str) -> None:
+    assert str(remedy) == typed
+    with called_in_python("read", ("features", "crs")):
+        assert str(remedy) == in_read
+
+
+def test_notes_to_python_name_arguments(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    table = tmp_path / "points.csv"
+    scene = FEATURES.points
+    table.write_text("# crs: EPSG:4979\nid,x,y,z,line,sample\n" + "".join(
+        f"P{i},{y!r},{x!r},{z!r},{line!r},{sample!r}\n" for i, ((x, y, z), (line, sample)) in
+        enumerate(zip(scene.ground.tolist(), scene.image.tolist(), strict=True))))
+    termsel.run(features=table)
+    assert "termsel.read(FILE, swapped='xy') exchanges them" in caplog.text
+    assert "--" not in caplog.text
+
+
+@pytest.mark.parametrize("of", [lambda: RESULT.fit, lambda: RESULT])
+def test_places_far_outside_the_control_are_told(
+        of: Callable[[], termsel.Fit], caplog: pytest.LogCaptureFixture) -> None:
+    ground = RESULT.fit.control.points.ground[:3]
+    of().project(ground)
+    assert not caplog.text
+    exchanged = ground[:, [1, 0, 2]]
+    of().project(exchanged)
+    assert "3 rows are far outside the control, and the model is not valid there" in caplog.text
+    assert "x and y look exchanged" in caplog.text
+    caplog.clear()
+    of().project(ground + np.array([9.0, 9.0, 0.0]))
+    assert "far outside" in caplog.text
+    assert "exchanged" not in caplog.text
 
 
 FEATURES = termsel.simulate_scene("ikonos-hamedan")

@@ -149,7 +149,7 @@ def test_what_is_said_of_an_image_is_in_its_result_the_table_and_the_pages(
     assert "sigma_line" not in rows["0.csv"]["notes"]
     found = {path: json.loads(path.read_text()) for path in out.rglob("result.json")}
     swapped = next(one for path, one in found.items() if path.parent.name == "3")
-    assert any("look swapped" in note and "--set swapped=xy" in note for note in swapped["notes"])
+    assert any("look swapped" in note and "swapped='xy'" in note for note in swapped["notes"])
     assert any("Did you mean sigma_line?" in note for note in swapped["notes"])
     for page in ("summary.md", "report.html"):
         text = (out / page).read_text()
@@ -209,3 +209,21 @@ def test_one_other_image_is_not_others() -> None:
     [(sentence, doubts)] = _note_on_mirrored(settings)
     assert sentence.startswith("1 of 2 images is a mirror image of the ground")
     assert "unlike 1 other of the batch" in doubts["a"]
+
+
+def test_a_list_of_files_of_points_is_a_study_of_images(tmp_path: Path) -> None:
+    files = []
+    for name in ("first", "second"):
+        files.append(tmp_path / f"{name}.csv")
+        points = termsel.simulate_scene("ikonos-hamedan", n_points=12).points
+        rows = [f"{x!r},{y!r},{z!r},{line!r},{sample!r}" for (x, y, z), (line, sample) in zip(
+            points.ground.tolist(), points.image.tolist(), strict=True)]
+        files[-1].write_text("\n".join(["x,y,z,line,sample", *rows, ""]))
+    for given in (files, str(tmp_path / "*.csv")):
+        study = termsel.compare(given, crs="EPSG:4979")
+        assert study.rows.to_pandas()["data"].to_list() == [
+            path.as_posix() for path in files]
+    with pytest.raises(termsel.TermselError, match="is 5, expected the name of a file"):
+        termsel.compare([5])
+    with pytest.raises(termsel.TermselError, match="data is given next to a list of files"):
+        termsel.compare(files, data=["ikonos-hamedan"])

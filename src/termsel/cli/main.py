@@ -247,6 +247,10 @@ def _unknown_command_error(name: str) -> TermselError:
                             hint=f"Did you mean {meant}? {summaries[meant]} All commands: termsel "
                                  "--help.")
     hint = registry().hint(name, "commands")
+    # A command of a package that is left out: nobody has mistyped it.
+    if hint and name in summaries:
+        return TermselError(f"unknown command {name!r}", name=name, code="command-unknown",
+                            hint=hint)
     error = unknown_name_error("command", name, summaries, hint)
     if "Did you mean" not in str(error):
         error.hint = f"{hint} All commands, in groups: termsel --help.".strip()

@@ -109,6 +109,7 @@ def _print_maps(maps: list[ImageMap]) -> None:
     The table has one row an image, and reasons follow it, as they are too long for a column. Of
     very many reasons the first are printed, and the rest is in the table of the folder.
     """
+    from termsel.studies.cells.verdicts import UNFIT
     from termsel.studies.maps import (
         FAILED,
         KEPT,
@@ -129,6 +130,9 @@ def _print_maps(maps: list[ImageMap]) -> None:
                for item in maps if item.state in (OUTDATED, LEFT_OUT, FAILED)]
     for reason in reasons[:_MOST_REASONS]:
         echo(without_set(reason))
+    if maps and all(item.state == LEFT_OUT and item.verdict == UNFIT for item in maps):
+        echo("No image is fit for use: repeat termsel compare with a larger --accept, or measure "
+             "more points")
     if len(reasons) > _MOST_REASONS:
         echo(f"{len(reasons) - _MOST_REASONS} more: the table in the folder of the maps has all "
              "reasons")

@@ -190,7 +190,7 @@ _ALSO_CALLED = {
     "force": ("overwrite",), "yes": ("overwrite",), "runs": ("seeds", "repeats"),
     "repeats": ("seeds",), "seed": ("seeds",), "elevation": ("dem",), "dsm": ("dem",),
     "dtm": ("dem",), "heights": ("dem",), "silent": ("quiet",), "folder": ("out",),
-    "o": ("out", "output"),
+    "o": ("out", "output"), "resume": ("checkpoint",), "continue": ("checkpoint",),
     "format": ("to",)}
 """Options by how other programs call them."""
 

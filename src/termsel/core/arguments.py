@@ -5,15 +5,18 @@ Python's own message says only that there is none of that name. These say which 
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import wraps
 from inspect import Parameter, signature
-from typing import TYPE_CHECKING, ClassVar, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, ParamSpec, TypeVar
 
 from termsel.core.errors import TermselError, count_in_words, likely_names
 from termsel.core.kinds import MADE_BY, Kind, kinds_of, wrong_kind_message
-from termsel.core.python_words import in_python
+from termsel.core.remedies import called_in_python, in_python
+
+log = logging.getLogger(__name__)
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -22,13 +25,17 @@ Meant = Callable[[str, object], str]
 """Returns a sentence on what an argument of a name and value should be; "" if that is unknown."""
 
 
+Remark = Callable[[Mapping[str, Any], Any], str]
+"""Returns what is to be said of arguments and of what was returned for them; "" if nothing."""
+
+
 Places = Callable[[tuple[object, ...]], str]
 """Returns a sentence on how values are given that were given by position; "" if unknown."""
 
 
 def explains_arguments(
         meant: Meant = lambda _name, _value: "", places: Places = lambda _values: "",
-        checked_within: Collection[str] = (),
+        checked_within: Collection[str] = (), remark: Remark = lambda _given, _returned: "",
         ) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Return a decorator of a function: arguments that it does not take are refused with a remedy.
 
@@ -45,6 +52,9 @@ def explains_arguments(
         places. By default the arguments that have a place are named, and the others.
     checked_within : collection of str, optional
         Arguments whose kind the function checks itself, in words that say more.
+    remark : callable, optional
+        A warning on what is returned, logged for whoever calls the function from outside of
+        termsel: within, functions are called for places that nobody asked for.
     """
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         """Return a function that refuses wrong arguments before it calls this one."""
@@ -81,15 +91,20 @@ def explains_arguments(
                 # Hints are evaluated once, and not before the function is used.
                 kinds.update(kinds_of(function, {"self", *checked_within}))
             _refuse_wrong_kinds(given, kinds, required)
-            try:
+            # Commands and packages of termsel show what is said to whoever typed an option.
+            caller = sys._getframe(1).f_globals.get("__name__", "")
+            if caller.startswith("termsel"):
                 return function(*args, **kwargs)
-            except TermselError as error:
-                # Commands and packages of termsel show an error to whoever typed an option.
-                caller = sys._getframe(1).f_globals.get("__name__", "")
-                if not caller.startswith("termsel"):
+            with called_in_python(function.__name__, names):
+                try:
+                    returned = function(*args, **kwargs)
+                except TermselError as error:
                     error.what = in_python(error.what, names)
                     error.hint = error.hint and in_python(error.hint, names)
-                raise
+                    raise
+                if said := remark(given, returned):
+                    log.warning("Warning: %s.", said)
+            return returned
 
         return call
 
@@ -137,7 +152,8 @@ def _near_names_in_words(name: str, names: Sequence[str], given: Collection[obje
     similar = begun[:_MOST_BEGUN] or likely_names(name, free)
     if similar:
         return f"Did you mean {' or '.join(similar)}?"
-    return f"Its arguments are {', '.join(names)}."
+    # That of a method is its object, which nobody writes.
+    return f"Its arguments are {', '.join(full for full in names if full != 'self')}."
 
 
 _MOST_BEGUN = 3

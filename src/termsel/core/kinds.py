@@ -169,6 +169,7 @@ _SIMPLE: Mapping[Any, Kind] = {
 
 
 MADE_BY = {
+    "an array of numbers": "Give a row of numbers for each place, such as [[1.0, 2.0, 3.0]].",
     "a termsel.Points": "termsel.read(FILE).points makes one, of a table as well as of a file.",
     "a termsel.FeatureSet": "termsel.read(FILE) makes one, of a table as well as of a file.",
     "a termsel.Problem": "termsel.prepare('poly-terms', features=FEATURES).problem is one.",

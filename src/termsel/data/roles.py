@@ -12,6 +12,7 @@ import numpy as np
 
 from termsel.core.errors import TermselError, first_names_in_words, unknown_name_error
 from termsel.core.isolation.faults import attribute_errors_to, fault_of_method
+from termsel.core.remedies import Remedy
 from termsel.data.coordinates.crs import LOCAL
 from termsel.data.coordinates.longitudes import to_globe, without_jump
 from termsel.data.coordinates.places import Lattice, lattice_of, spatial_order
@@ -441,7 +442,8 @@ def observe(
     points = features.points
     if control == "points" and not len(points):
         raise TermselError("the problem needs control points and there are none",
-                           hint="Give a points file, or choose a problem over lines.")
+                           hint=f"Give them with {Remedy('points', 'FILE')}, or choose a problem "
+                                "over lines, such as owdis-lines.")
     if control in ("lines", "both") and not len(features.lines):
         remedy = "without mixed=true" if control == "both" else "such as rfm-terms"
         raise TermselError(

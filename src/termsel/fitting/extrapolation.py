@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from termsel.core.errors import count_in_words
-from termsel.data.coordinates.places import distance_beyond_hull, feature_centres
+from termsel.core.errors import count_in_words, first_names_in_words
+from termsel.data.coordinates.longitudes import beside_control
+from termsel.data.coordinates.places import convex_hull, distance_beyond_hull, feature_centres
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.data.fit_data import FitData, distance_off_plane
 from termsel.data.record.cautions import EXTRAPOLATION
@@ -33,6 +34,47 @@ def distance_outside_control(control: FloatArray, ground: FloatArray) -> FloatAr
         above = np.maximum(ground[:, 2] - high, low - ground[:, 2]) / (high - low)
         distances = np.maximum(distances, np.where(np.isnan(above), 0.0, above))
     return np.asarray(np.where(np.isnan(ground[:, :2]).any(axis=1), np.nan, distances))
+
+
+def distance_beside_control(control: FloatArray, ground: FloatArray,
+                            features: FeatureSet) -> FloatArray:
+    """Return `distance_outside_control` of places by whole turns next to the control.
+
+    The CRS is that of `features`, which have the control.
+    """
+    near_control = ground.copy()
+    near_control[:, 0] = beside_control(ground[:, 0], features)
+    return distance_outside_control(control, near_control)
+
+
+def far_places_in_words(control: FloatArray, ground: FloatArray, names: Sequence[str],
+                        noun: str = "point") -> str:
+    """Return a clause on places (m, 3) far outside the control (n, 3), with what may be the reason.
+
+    `names` are those of the places, which it calls by the `noun`; "" if there are no places.
+    """
+    if not len(ground):
+        return ""
+    clause = (f"{count_in_words(len(ground), noun)} {'is' if len(ground) == 1 else 'are'} far "
+              f"outside the control, and the model is not valid there: "
+              f"{first_names_in_words(names)}")
+    exchanged = ground.copy()
+    exchanged[:, :2] = ground[:, 1::-1]
+    if (distance_outside_control(control, exchanged) > FAR_OUTSIDE).any():
+        return clause
+    x, y = control[:, :2].mean(axis=0)
+    return (f"{clause}. Their x and y look exchanged, as the control is around x = {x:,.6g}, "
+            f"y = {y:,.6g}: exchange the two columns")
+
+
+def far_rows_in_words(control: FloatArray, ground: FloatArray, features: FeatureSet) -> str:
+    """Return a clause on those rows of an array of places (m, 3) that are far outside, or ""."""
+    # A control without an area says nothing of what is outside.
+    if not convex_hull(control[:, :2]):
+        return ""
+    is_far = distance_beside_control(control, ground, features) > FAR_OUTSIDE
+    rows = [str(row) for row in np.flatnonzero(is_far)]
+    return far_places_in_words(control, ground[is_far], rows, "row")
 
 
 def variance_by_heights(used: FeatureSet, scaling: Scaling,

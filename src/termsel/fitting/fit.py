@@ -28,7 +28,7 @@ from termsel.data.relief import unmasked, visible_ground
 from termsel.data.scaling import Scaling, make_scaling, to_fit_crs
 from termsel.data.view import CentralView, view_of
 from termsel.fitting.camera_courses import CameraCourses, camera_courses, share_of_courses
-from termsel.fitting.extrapolation import variance_by_heights
+from termsel.fitting.extrapolation import far_rows_in_words, variance_by_heights
 from termsel.fitting.local_courses import LocalCourses, local_courses
 from termsel.fitting.misfit import MISFIT_BATCH, Misfit, NoisePrior, misfit_of, mixed_misfit
 from termsel.fitting.residuals import Residuals, control_residuals, rmse_of
@@ -360,7 +360,7 @@ class Fit(Glance):
         return replace(self, estimator=estimator, trace=trace, stored_held_out=None,
                        adjustment=adjustment)
 
-    @explains_arguments()
+    @explains_arguments(remark=lambda given, _image: given["self"].remark_on(given["ground"]))
     def project(self, ground: ArrayLike) -> FloatArray:
         """Return where the image shows ground points.
 
@@ -385,6 +385,22 @@ class Fit(Glance):
         # Behind the camera the formula gives a place as well, mirrored.
         image[self.unseen(points)] = np.nan
         return image
+
+    def remark_on(self, ground: ArrayLike) -> str:
+        """Return a clause on places far outside the control; "" if all are near.
+
+        Parameters
+        ----------
+        ground : array_like
+            As for `project`.
+        """
+        return far_rows_in_words(self.control_ground(), self._ground_points(ground),
+                                 self.control)
+
+    def control_ground(self) -> FloatArray:
+        """Return the ground coordinates (v, 3) of the control that was used for the fit."""
+        original = self.original or self
+        return original.control.take(original.used).ground_vertices()
 
     def _compute_positions(self, ground: FloatArray) -> FloatArray:
         """Return image positions (n, 2) [px] of places (n, 3), be they behind the camera or not.

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from termsel.core.errors import TermselError
 from termsel.core.files.names import is_there, no_such_file_error
+from termsel.core.remedies import Remedy
 from termsel.data.coordinates.crs import begins_as_crs, normalise, short_crs_name
 from termsel.data.rasters import open_raster
 from termsel.formats.base import error_in_file, read_head, read_text
@@ -65,9 +66,8 @@ def warn_of_other_crs(path: Path, stated: str) -> None:
     except TermselError:
         return
     if crs != stated:
-        log.warning("Warning: %s has the CRS %s, but --crs %s is used.", prj.name,
-                    short_crs_name(crs),
-                    short_crs_name(stated))
+        log.warning("Warning: %s has the CRS %s, but %s is used.", prj.name,
+                    short_crs_name(crs), Remedy("crs", short_crs_name(stated)))
 
 
 def prj_next_to(path: Path) -> Path | None:

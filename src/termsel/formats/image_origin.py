@@ -12,6 +12,7 @@ import numpy as np
 
 from termsel.core.errors import ONCE, TermselError
 from termsel.core.options import Option
+from termsel.core.remedies import ReadRemedy
 from termsel.data.coordinates.earth import is_mirrored
 from termsel.data.distant_rasters import with_dataset
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
@@ -129,7 +130,8 @@ def with_image_origin(features: FeatureSet, choice: str | None, states_own: bool
                  "ArcGIS), or top-left to keep them as they are. Or give the image with --image "
                  "FILE.")
     log.warning("Note: no line is above 0, so lines are read as y upwards from the upper-left "
-                "pixel. If they count from its corner, give --set image_origin=y-up-corner.")
+                "pixel. If they count from its corner, give %s.",
+                ReadRemedy("image_origin", "y-up-corner"))
     return replace(_turn_to_upper_left(features, UP, size),
                    image_origin=f"{_ORIGIN_WORDS[UP]}, as all lines are at most 0")
 
@@ -213,8 +215,8 @@ def require_inside(features: FeatureSet, size: tuple[int, int] | None,
             raise TermselError(
                 f"line and sample look swapped: they extend to line {last[0]:g} and sample "
                 f"{last[1]:g}, and the image has {size[0]} lines and {size[1]} samples",
-                file=image, hint="Exchange them: --set swapped=line-sample. Or give the image in "
-                                 f"which the {features.word} were measured.")
+                file=image, hint=f"Exchange them: {ReadRemedy('swapped', 'line-sample')}. Or give "
+                                 f"the image in which the {features.word} were measured.")
         reason = (f"but {features.word} extend to line {last[0]:g} and sample {last[1]:g}"
                   f"{_ids_if_few(features, beyond)}")
         raise other_image_error(size, reason, image, _off_option(features, beyond))

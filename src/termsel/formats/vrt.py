@@ -12,6 +12,7 @@ import numpy as np
 from termsel.core.errors import TermselError
 from termsel.core.files.texts import is_xml_text, xml_attribute, xml_text
 from termsel.core.options import Option
+from termsel.core.remedies import Remedy
 from termsel.data.features import Points
 from termsel.data.georeferenced import warn_of_map
 from termsel.data.image_files import image_file_of
@@ -47,8 +48,8 @@ def picture_for(result: Result, image: Path | str | None) -> Picture:
         size = size_of_features or (max(1, int(bottom) + 1), max(1, int(right) + 1))
         if size_of_features is None:
             log.warning("Warning: the size of the image is not known. The file says %d lines and "
-                        "%d samples, which hold all points; --image FILE gives the true size.",
-                        *size)
+                        "%d samples, which hold all points; %s gives the true size.",
+                        *size, Remedy("image", "FILE"))
         return Picture(size)
     picture = picture_of(Path(image))
     # Lines and samples of another size are of another image, or of a resampled one.

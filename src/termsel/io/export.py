@@ -12,6 +12,7 @@ from termsel.core.display.quiet import quiet_logger
 from termsel.core.errors import ON_SUCCESS, PENDING, TermselError, rounded_size_text
 from termsel.core.files.atomic import private_folder
 from termsel.core.files.names import is_there, refuse_link
+from termsel.core.remedies import Remedy
 from termsel.data.coordinates.earth import note_on_turned
 from termsel.formats.vrt import IMAGE, picture_for
 from termsel.io.replacing import require_replaceable
@@ -151,5 +152,6 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
         refuse_link(file)
     writer.write(result, path)
     if IMAGE in writer.declared_options and writer.options["image"] is None:
-        log.warning("Warning: %s has no pixels: give the image with --image FILE.", path.name)
+        log.warning("Warning: %s has no pixels: give the image with %s.", path.name,
+                    Remedy("image", "FILE"))
     return tuple(file for file in writer.files(path) if file.exists())

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from termsel.core.errors import TermselError, unknown_name_error
 from termsel.core.files.reasons import reason_of
+from termsel.core.remedies import Remedy
 from termsel.data.cog import write_cog
 from termsel.data.distant_rasters import with_dataset
 from termsel.data.features import FloatArray
@@ -145,7 +146,7 @@ def map_pixels(picture: Picture, resampling: str | None, nodata: float | None) -
         _require_held(nodata, spec.dtype)
         if alpha:
             log.warning("Warning: the map has an alpha band, which marks the outside; the value "
-                        "%g of --nodata is written there, but not declared.", nodata)
+                        "%g of %s is written there, but not declared.", nodata, Remedy("nodata"))
         return replace(spec, nodata=None if alpha else nodata, fill=nodata)
     if alpha:
         return spec
@@ -215,7 +216,7 @@ def _prepare_for_resampling(picture: Picture, resampling: str | None) -> tuple[P
                            file=picture.path, hint="Leave --resampling out, for nearest.")
     if mixes_pixels:
         log.warning("Note: the map has the colours of the image's table instead of its indices, as "
-                    "%s mixes pixels; without --resampling it keeps them.", resampling)
+                    "%s mixes pixels; without %s it keeps them.", resampling, Remedy("resampling"))
         return expand_colours(picture), str(resampling)
     # The colour table of a GeoTIFF knows opaque colours alone.
     alphas = {colour[3] for band in bands for colour in band.table}
@@ -304,8 +305,9 @@ def warp(raster: Any, output: Path, grid: MapGrid, spec: MapPixels, *, tags: Map
         tiled, spec, tags), progress=progress,
         masked=spec.masked, nearest=spec.category, bits=spec.bits)
     if lost:
-        log.warning("Warning: %d px of the map have the value %g of --nodata in the image itself; "
-                    "they are empty on the map. Give another value, or none.", lost, spec.nodata)
+        log.warning("Warning: %d px of the map have the value %g of %s in the image itself; they "
+                    "are empty on the map. Give another value, or none.", lost, spec.nodata,
+                    Remedy("nodata"))
 
 
 def _unreadable_source(image: Path | None, error: Exception) -> TermselError:

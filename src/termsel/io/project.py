@@ -21,11 +21,15 @@ from termsel.data.coordinates.crs import (
     with_stated_heights,
 )
 from termsel.data.coordinates.earth import place_of
-from termsel.data.coordinates.longitudes import beside_control
 from termsel.data.coordinates.plausible import check_ground
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, select
 from termsel.data.tables.columns import COORDINATES, LINES, parse_columns
-from termsel.fitting.extrapolation import FAR_OUTSIDE, distance_outside_control
+from termsel.fitting.extrapolation import (
+    FAR_OUTSIDE,
+    distance_beside_control,
+    distance_outside_control,
+    far_places_in_words,
+)
 from termsel.formats.base import error_in_file, read_once
 from termsel.formats.heights import Dem, refuse_void, say_difference, surface_of, with_heights
 from termsel.formats.readers.csv_tables import table_text
@@ -82,11 +86,8 @@ def project_table(
     with np.errstate(all="ignore"):
         sigma = result.sigma(ground)
     sigma[~np.isfinite(sigma)] = np.nan
-    control = _control_ground(result)
-    # Longitudes by whole turns next to the control, so that distances are those on the ground.
-    ground_near_control = ground.copy()
-    ground_near_control[:, 0] = beside_control(ground[:, 0], result.fit.control)
-    distances = distance_outside_control(control, ground_near_control)
+    control = result.exported.control_ground()
+    distances = distance_beside_control(control, ground, result.fit.control)
     # Two points, or points in a line, enclose no area.
     encloses = bool(np.isfinite(distance_outside_control(control, control[:1])[0]))
     if not encloses:
@@ -105,8 +106,10 @@ def project_table(
     has_other_lines = known is not None and known.lines is not None
     warnings = list(_projection_warnings(
         select(ids, missed & ~hidden & ~off_image), select(ids, hidden), select(ids, off_image),
-        select(ids, ~missed & (distances > FAR_OUTSIDE)), encloses=encloses, inverse=inverse,
-        has_other_lines=has_other_lines))
+        encloses=encloses, inverse=inverse, has_other_lines=has_other_lines))
+    is_far = ~missed & (distances > FAR_OUTSIDE)
+    if is_far.any():
+        warnings.append(far_places_in_words(control, ground[is_far], select(ids, is_far)))
     if known is not None and has_other_lines and missed.any():
         warnings.append(known.sentence())
     return text, warnings
@@ -219,15 +222,15 @@ def _are_off_image(result: Result, image: FloatArray) -> BoolArray:
 
 
 def _projection_warnings(missed: Sequence[str], hidden: Sequence[str], off_image: Sequence[str],
-                         far: Sequence[str], *, encloses: bool, inverse: bool,
+                         *, encloses: bool, inverse: bool,
                          has_other_lines: bool) -> Iterator[str]:
-    """Yield clauses on points that were not projected or located, and on those far outside.
+    """Yield clauses on points that were not projected or located.
 
     Parameters
     ----------
-    missed, hidden, off_image, far : sequence of str
+    missed, hidden, off_image : sequence of str
         Ids of points: without a position for no known reason; that the image cannot show; outside
-        the image, and without a position; far outside the control.
+        the image, and without a position.
     encloses : bool
         Whether the control encloses an area.
     inverse : bool
@@ -255,16 +258,6 @@ def _projection_warnings(missed: Sequence[str], hidden: Sequence[str], off_image
     if off_image:
         yield (f"no position was found for {count_in_words(len(off_image), 'point')} outside the "
                f"image: {first_names_in_words(off_image)}. Check the lines and samples")
-    if far:
-        yield (f"{count_in_words(len(far), 'point')} {'is' if len(far) == 1 else 'are'} far "
-               "outside the control, and the model is not valid there: "
-               f"{first_names_in_words(far)}")
-
-
-def _control_ground(result: Result) -> FloatArray:
-    """Return the ground coordinates (v, 3) of the control that a result was fitted to."""
-    original = result.exported.original or result.exported
-    return original.control.take(original.used).ground_vertices()
 
 
 def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None = None,

@@ -24,6 +24,7 @@ from termsel.core.files.names import JOURNAL, is_there
 from termsel.core.isolation.faults import PluginFault, is_own, name_of
 from termsel.core.isolation.parts import missing_package_error, values_of_slot
 from termsel.core.options import Option
+from termsel.core.remedies import Remedy
 from termsel.data.coordinates.crs import (
     LOCAL,
     WGS84,
@@ -585,17 +586,18 @@ def _reader_that_recognises(path: Path, head: bytes, readers: Sequence[Reader]) 
     claims = [reader for reader in claims if not reader.general] or claims
     if built_in_reader is not None:
         for reader in claims:
-            log.warning("Note: %s recognises %s too; --format %s reads it so.", name_of(reader),
-                        path.name, reader.name)
+            log.warning("Note: %s recognises %s too; %s reads it so.", name_of(reader),
+                        path.name, Remedy("format", reader.name))
         return built_in_reader
     if len(claims) < 2:
         return claims[0] if claims else None
     selective_readers = [reader for reader in claims if not _recognises_noise(reader, path)]
     if len(selective_readers) == 1:
         return selective_readers[0]
+    names = [reader.name for reader in claims]
     raise TermselError(
         f"several readers recognise this file: {', '.join(map(name_of, claims))}", file=path,
-        hint="Choose one: " + " or ".join(f"--format {reader.name}" for reader in claims) + ".")
+        hint=f"Choose one: {' or '.join(str(Remedy('format', name)) for name in names)}.")
 
 
 def _recognises_noise(reader: Reader, path: Path) -> bool:
@@ -609,8 +611,8 @@ def _recognises_noise(reader: Reader, path: Path) -> bool:
         noise.write_bytes(_NOISE)
         if not reader.sniff(noise, _NOISE):
             return False
-    log.warning("Warning: %s recognises any file, so it is not used without --format %s.",
-                name_of(reader), reader.name)
+    log.warning("Warning: %s recognises any file, so it is not used without %s.",
+                name_of(reader), Remedy("format", reader.name))
     return True
 
 

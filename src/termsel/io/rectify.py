@@ -15,6 +15,7 @@ from termsel.core.arguments import explains_arguments
 from termsel.core.errors import TermselError, rounded_size_text
 from termsel.core.files.atomic import private_folder, write_text
 from termsel.core.files.names import utf8_name
+from termsel.core.remedies import Remedy
 from termsel.data.archives import raster_in
 from termsel.data.cog import require_tiff_name
 from termsel.data.coordinates.crs import (
@@ -171,7 +172,7 @@ def rectify(
     if dem is None and height is None and result.fit.model.uses_height:
         raise TermselError("the position of the image on the map depends on the height of the "
                            "ground",
-                           hint="Give --dem FILE or --height H, in Python dem= or height=.")
+                           hint=f"Give {Remedy('dem', 'FILE')} or {Remedy('height', 'H')}.")
     target = map_crs(result, None if crs is None else crs_text(crs))
     # Names and numbers were checked first; now come files, and then long work.
     result = as_exported(result, final)
@@ -270,8 +271,8 @@ def _say_heights(result: Result, surface: Dem | float) -> HeightCaution | None:
     Returns the caution that has the larger effect; None if there is neither.
     """
     if isinstance(surface, Dem) and not result.fit.model.uses_height:
-        log.info("Note: this model uses no heights, so the raster of heights (--dem) changes "
-                 "nothing of the map.")
+        log.info("Note: this model uses no heights, so the raster of heights (%s) changes nothing "
+                 "in the map.", Remedy("dem"))
     level = _say_level(result, surface)
     difference = say_difference(result.features, result.project, surface)
     cautions = [caution for caution in (level, difference) if caution is not None]
@@ -285,8 +286,8 @@ def _say_level(result: Result, surface: Dem | float) -> HeightCaution | None:
     """
     if isinstance(surface, Dem) or not result.fit.model.uses_height:
         return None
-    log.warning("Warning: without a raster of heights (--dem) the ground is taken as level, at the "
-                "height %.6g.", surface)
+    log.warning("Warning: without a raster of heights (%s) the ground is taken as level, at the "
+                "height %.6g.", Remedy("dem"), surface)
     positions = places_of(result.fit)
     # Where each place would be seen if the ground were level.
     level = positions * [1, 1, 0] + [0, 0, surface]

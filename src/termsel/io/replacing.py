@@ -9,6 +9,7 @@ from pathlib import Path
 from termsel.core.errors import TermselError
 from termsel.core.files.endings import EXPECTED
 from termsel.core.files.names import is_there
+from termsel.core.remedies import Remedy
 from termsel.data.rasters import open_raster
 from termsel.io.result_folder import files_of_result
 
@@ -79,8 +80,7 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
             _refuse_other_ending(file, written_as)
     if existing and not overwrite:
         raise TermselError("this file already exists", file=existing[0],
-                           hint="Choose another name, or add --overwrite, in Python "
-                                "overwrite=True.")
+                           hint=f"Choose another name, or add {Remedy('overwrite')}.")
 
 
 def _refuse_read(files: Iterable[Path], reads: Iterable[Path]) -> None:

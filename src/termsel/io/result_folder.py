@@ -23,6 +23,7 @@ from termsel.core.files.names import (
 )
 from termsel.core.files.texts import csv_table
 from termsel.core.options import options_of_file
+from termsel.core.remedies import Remedy
 from termsel.data.coordinates.crs import normalise
 from termsel.data.features import FeatureSet, empty_lines, empty_points
 from termsel.data.record.record import Record
@@ -95,8 +96,7 @@ def _refuse_taken(folder: Path, overwrite: bool) -> None:
                                file=folder / name, hint="Choose another --out.")
     if not overwrite and _path_of_file(folder, RECORD).exists():
         raise TermselError("there is a result in this folder already", file=folder,
-                           hint="Choose another --out, or add --overwrite, in Python "
-                                "overwrite=True.")
+                           hint=f"Choose another {Remedy('out')}, or add {Remedy('overwrite')}.")
 
 
 @explains_arguments(checked_within=("result",))

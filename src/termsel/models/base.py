@@ -15,6 +15,7 @@ from termsel.core.errors import TermselError, first_names_in_words
 from termsel.core.isolation.arrays import difference_from_shape, difference_from_type, returns_type
 from termsel.core.isolation.calls import Check
 from termsel.core.options import Configurable
+from termsel.core.remedies import Remedy
 from termsel.data.coordinates.crs import to_wgs84
 from termsel.data.extent import KnownImage
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
@@ -411,5 +412,6 @@ def require_heights(model: SensorModel, features: FeatureSet) -> None:
         raise TermselError(
             f"model {model.name!r} needs heights; they are unknown for {len(missing)} of the "
             f"{features.word}: {first_names_in_words(missing, 5)}",
-            hint="Add heights, as by --dem FILE, or choose a plane model: --model poly2d.",
+            hint=f"Add heights, as by {Remedy('dem', 'FILE')}, or choose a plane model: "
+                 f"{Remedy('model', 'poly2d')}.",
             ids=missing[:1])

@@ -47,6 +47,7 @@ from termsel.results.verdict import (
     NO_FIT,
     NOT_FEW,
     are_alike,
+    are_errors_large,
     are_too_few_to_test,
     does_nothing_fit,
     label_of,
@@ -838,6 +839,9 @@ def next_step_for_user(record: Record, folder: str = "", command: str = "",
         return "Next: compare some of these points with the map before leaving any out"
     if does_nothing_fit(record):
         return "Next: correct the columns, the units or the CRS, then run again"
+    if are_errors_large(record):
+        word = record.data.counts.word
+        return f"Next: check the {word}, their columns, units and CRS, then run again"
     if not folder:
         return "Not saved: add --out DIR, then termsel report DIR"
     if (not record.data.counts.independent and record.data.counts.word == "points"

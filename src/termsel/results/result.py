@@ -283,7 +283,8 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         # The final fit has used all points: it is the better map, the other one the honest figure.
         return self.final or self.fit
 
-    @explains_arguments()
+    @explains_arguments(
+        remark=lambda given, _image: given["self"].exported.remark_on(given["ground"]))
     def project(self, ground: ArrayLike) -> FloatArray:
         """Return where the exported fit sees ground points (see `termsel.Fit.project`)."""
         return self.exported.project(ground)

@@ -200,8 +200,13 @@ NO_FIT = 0.01
 def does_nothing_fit(record: Record) -> bool:
     """Return whether no model fits, of features so many that this cannot be chance."""
     test = record.blunder_test
-    return (test is not None and test.features >= NOT_FEW
-            and size_of_errors(record) > NO_FIT * test.extent)
+    return test is not None and test.features >= NOT_FEW and are_errors_large(record)
+
+
+def are_errors_large(record: Record) -> bool:
+    """Return whether the errors are larger than those of any model that fits the features."""
+    test = record.blunder_test
+    return test is not None and size_of_errors(record) > NO_FIT * test.extent
 
 
 def are_too_few_to_test(test: BlunderTest, errors: float) -> bool:

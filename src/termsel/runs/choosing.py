@@ -16,6 +16,7 @@ from termsel.auto.named_model import NamedModel, as_far_as_determined
 from termsel.auto.rule import Choice, folds_of, gain, has_pole, method_of
 from termsel.core.errors import TermselError, count_in_words, rounded_size_text
 from termsel.core.interrupts import take_pending_interrupt
+from termsel.core.remedies import Remedy
 from termsel.data.features import FloatArray, Points, empty_points, select
 from termsel.data.fit_data import FitData
 from termsel.data.record.figures import Predicted, is_determined_exactly
@@ -77,8 +78,10 @@ def uses_auto(strategy: str | None, recipe: Recipe, method: Sequence[str] = (), 
                                 "--problem out and add --rpc FILE.")
     if method:
         raise TermselError(
-            f"--strategy auto chooses the method itself, so {method[0]} cannot be given",
-            hint="Leave one of them out, or run the method with --strategy as-asked.")
+            f"{Remedy('strategy', 'auto')} chooses the method itself, so {method[0]} cannot be "
+            "given",
+            hint="Leave one of them out, or run the method with "
+                 f"{Remedy('strategy', 'as-asked')}.")
     return True
 
 

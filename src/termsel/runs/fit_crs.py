@@ -10,6 +10,7 @@ import numpy as np
 from termsel.auto.auto import Auto
 from termsel.core.errors import TermselError
 from termsel.core.options import Option
+from termsel.core.remedies import Remedy
 from termsel.data.coordinates.crs import (
     EARTH,
     LOCAL,
@@ -78,8 +79,8 @@ def with_fit_crs(choice: str, observations: Observations, model: SensorModel) ->
             raise TermselError(
                 f"geocentric coordinates need heights that are known and differ, and model "
                 f"{model.name!r} " + ("finds none" if model.uses_height else "has none"),
-                hint="Give heights and choose a model with heights, such as --model poly3d; or "
-                     "fit in geodetic or projected coordinates.")
+                hint="Give heights and choose a model with heights, such as "
+                     f"{Remedy('model', 'poly3d')}; or fit in geodetic or projected coordinates.")
     # What cannot be transformed is said now.
     for ground in (control.ground_vertices(), observations.check.ground,
                    observations.independent.ground):

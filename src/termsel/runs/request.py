@@ -19,6 +19,7 @@ from termsel.core.errors import TermselError, count_in_words, first_names_in_wor
 from termsel.core.isolation.arrays import difference_from_type
 from termsel.core.isolation.faults import attribute_errors_to, fault_of_method
 from termsel.core.options import SEED, Configurable, Option, options_by_part, resolve
+from termsel.core.remedies import Remedy
 from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
 from termsel.data.fit_data import FitData, relief_carriers
@@ -132,7 +133,7 @@ def second_solver(recipe: Recipe, settings: Mapping[str, Any]) -> Any:
     if second_solver_keys and solver is None:
         raise TermselError(f"{second_solver_keys[0]} is for the solver of the second step, and "
                            "--then names none",
-                           hint="Add --then NAME, such as --then pso.")
+                           hint=f"Add {Remedy('then', 'NAME')}, such as {Remedy('then', 'pso')}.")
     return solver
 
 
@@ -448,8 +449,8 @@ def _named_parts(recipe: Recipe, model: Any, solver: Any, criterion: Any,
     names = registry()
     model_part = names.resolve("models", recipe.model if model is None else model)
     if recipe.name == "poly-terms" and class_of(model_part).name == "rfm":
-        log.info("Note: poly-terms selects terms of polynomials. With --model rfm it selects those "
-                 "of a rational function, as rfm-terms does.")
+        log.info("Note: poly-terms selects terms of polynomials. With %s it selects those of "
+                 "a rational function, as rfm-terms does.", Remedy("model", "rfm"))
     # Where terms have no influence there is nothing to search.
     usual_solver = recipe.solver
     if issubclass(class_of(model_part), Interpolating):
@@ -546,8 +547,9 @@ def _options_of_problem(recipe: Recipe, settings: Mapping[str, Any], criterion: 
         if rule == "one-standard-error" and not criterion.is_rmse:
             raise TermselError(f"criterion {criterion.name!r} is no RMSE, so it has no standard "
                                "error to recommend a selection by",
-                               hint="Choose --set recommend=knee or best, or --criterion "
-                                    "check-rmse, press or kfold, these with loss=squares.")
+                               hint=f"Choose {Remedy('set', 'recommend=knee')} or best, or "
+                                    f"{Remedy('criterion', 'check-rmse')}, press or kfold, these "
+                                    "with loss=squares.")
         has_standard_error = solver.max_objectives > 1 and criterion.is_rmse
         options["recommend"] = rule or ("one-standard-error" if has_standard_error else "best")
     return options

@@ -16,6 +16,7 @@ from termsel.core.arguments import explains_arguments
 from termsel.core.errors import TermselError
 from termsel.core.files.names import CERTIFICATE
 from termsel.core.options import whole_seed
+from termsel.core.remedies import Remedy
 from termsel.core.threads import one_blas_thread
 from termsel.data.coordinates.crs import CrsLike
 from termsel.data.datasets import DatasetSpec
@@ -211,7 +212,7 @@ def run(
     # Said before the search, which may take hours.
     if task.solver.options.get("certificate") and out is None:
         raise TermselError("a certificate is a file of the folder of a result, and there is none",
-                           hint="Add --out DIR, in Python out=.", name="certificate")
+                           hint=f"Add {Remedy('out', 'DIR')}.", name="certificate")
     if checkpoint is not None:
         require_resumable(task.solver)
 

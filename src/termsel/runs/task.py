@@ -15,6 +15,7 @@ from termsel.core.arguments import explains_arguments
 from termsel.core.display import Glance
 from termsel.core.errors import TermselError, count_in_words, unknown_name_error
 from termsel.core.isolation.faults import attribute_errors_to
+from termsel.core.remedies import Remedy
 from termsel.data.coordinates.crs import LOCAL, CrsLike, normalise, to_wgs84
 from termsel.data.coordinates.height_units import FOOT, UNITS
 from termsel.data.coordinates.places import lattice_of
@@ -79,7 +80,7 @@ def require_enough(observations: Observations, criterion: Criterion, model: Sens
         without_selection = ""
         if criterion.needs_check and len(observations.together) >= fewest:
             without_selection = (" Or choose by leave-one-out, without selection points: "
-                                 "--criterion press.")
+                                 f"{Remedy('criterion', 'press')}.")
         raise TermselError(
             f"{_count_of_control(control)}{others}; at least {count_in_words(fewest, noun)} "
             f"{'is' if fewest == 1 else 'are'} needed",
@@ -91,7 +92,7 @@ def require_enough(observations: Observations, criterion: Criterion, model: Sens
             f"{_too_few_in_words(len(check), 'selection point')} (role check), and a search by "
             f"{criterion.name} chooses by at least {MIN_CHECK}",
             hint="Give more points the role check. Or choose by leave-one-out, which needs no "
-                 "selection points: --criterion press.")
+                 f"selection points: {Remedy('criterion', 'press')}.")
     _refuse_one_number(observations)
     # The geometry of control matters where nothing else determines the model.
     if fewest == 1:

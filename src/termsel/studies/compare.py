@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import glob
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 
 from termsel.adjustment.kernels import needs_compilation
 from termsel.core.arguments import explains_arguments
-from termsel.core.errors import TermselError, count_in_words
+from termsel.core.errors import TermselError, count_in_words, shown_value
 from termsel.core.files.atomic import make_folder, private_folder
 from termsel.core.files.lock import lock_folder
 from termsel.core.files.names import JOURNAL
@@ -35,7 +36,7 @@ from termsel.studies.execution.progress import StudyProgress, Tally
 from termsel.studies.execution.work import OUT_OF_TIME, Outcome, do, failed_outcome
 from termsel.studies.outputs import output_names
 from termsel.studies.plan.data import data_of
-from termsel.studies.plan.spec import Spec, read_spec, spec_of
+from termsel.studies.plan.spec import READING, Spec, read_spec, spec_of
 from termsel.studies.study import Study
 
 log = logging.getLogger(__name__)
@@ -45,7 +46,7 @@ Observer = Callable[[StudyProgress], None]
 
 @explains_arguments()
 def compare(
-    study: Path | str | Mapping[str, Any] | None = None,
+    study: Path | str | Sequence[Path | str] | Mapping[str, Any] | None = None,
     *,
     out: Path | str | None = None,
     workers: int = 1,
@@ -58,7 +59,8 @@ def compare(
     Parameters
     ----------
     study : path or mapping, optional
-        A study file, or its content.
+        A study file, or its content; or files of points, an image each, as a list or a pattern:
+        this is `data=[{"points": files}]`.
     out : path, optional
         Folder of the journal and the tables. The same call goes on where an earlier one stopped.
         Without it nothing is kept.
@@ -74,7 +76,8 @@ def compare(
         Keys of a study file, in place of `study` or of what it says: problems, models, solvers,
         criteria, strategies, data, seeds, splits, budget, options, exports, measure, measures,
         title. Problems, models, solvers and criteria may be objects, as in `run`; data may be a
-        mapping of feature sets by name.
+        mapping of feature sets by name. With files of points also crs, dem and columns, which are
+        those of `read`.
 
     Returns
     -------
@@ -156,18 +159,39 @@ LONG_CELL_SECONDS = 20.0
 FINISHING = "The runs under way are being finished. Ctrl-C once more ends at once."
 
 
-def requested_study(study: Path | str | Mapping[str, Any] | None,
+def requested_study(study: Path | str | Sequence[Path | str] | Mapping[str, Any] | None,
                     keys: Mapping[str, Any]) -> tuple[Spec, Path]:
     """Return the spec of a study, and the folder that its file names are relative to.
 
     Raises TermselError for keys next to a study file.
     """
+    if isinstance(study, str) and glob.has_magic(study):
+        study = [study]
+    if isinstance(study, Sequence) and not isinstance(study, str):
+        return spec_of(_keys_of_images(study, keys)), Path()
     if isinstance(study, str | Path):
         if keys:
             raise TermselError(f"{min(keys)} is given next to a study file",
                                hint="Write it into the file.")
         return read_spec(Path(study)), Path(study).parent
     return spec_of({**(study or {}), **keys}), Path()
+
+
+def _keys_of_images(files: Sequence[Path | str], keys: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keys of a study of images, of which each has a file of points.
+
+    Raises TermselError for what names no file, and for further data.
+    """
+    for item in files:
+        if not isinstance(item, Path | str):
+            raise TermselError(f"an item of the list is {shown_value(item)}, expected the name of "
+                               "a file", hint="Features that were read: data={'a name': FEATURES}.")
+    if "data" in keys:
+        raise TermselError("data is given next to a list of files",
+                           hint="Leave out the list, and give data=[{'points': FILES}].")
+    reading = {key: value for key, value in keys.items() if key in READING}
+    others = {key: value for key, value in keys.items() if key not in READING}
+    return {"data": [{"points": list(files), **reading}], **others}
 
 
 def plan_cells(spec: Spec, folder: Path, tables: frozenset[Path] = frozenset()) -> list[Cell]:

@@ -30,6 +30,7 @@ from termsel.core.isolation.helper import modules_here as modules_here
 from termsel.core.isolation.helper import safe_start as safe_start
 from termsel.core.isolation.parts import Part as Part
 from termsel.core.options import options_of_file as options_of_file
+from termsel.core.remedies import Remedy as Remedy
 from termsel.core.threads import one_blas_thread as one_blas_thread
 from termsel.data.dem_difference import sentence_on_common_offset as sentence_on_common_offset
 from termsel.data.distant_rasters import with_dataset as with_dataset

@@ -29,6 +29,7 @@ from termsel.check import (
     checksum,
     require_together,
 )
+from termsel.toolkit import Remedy
 from termsel_bench.multipliers import Columns, FloatArray, best_bound
 
 Step: TypeAlias = list[Any]
@@ -64,7 +65,8 @@ def certificate_maker(problem: Problem, rooms: Sequence[int],
             or axis_part.system.parents is not None for axis_part in axis_parts):
         raise TermselError(
             "there is no certificate of this problem: it is one of check errors, by axis and "
-            "without parents", hint="Choose --criterion check-rmse and --set mask=per-axis.")
+            "without parents", hint=f"Choose {Remedy('criterion', 'check-rmse')} and "
+                                        f"{Remedy('set', 'mask=per-axis')}.")
     names = list(problem.decode(np.ones(problem.genome.size, dtype=bool)).terms)
 
     def axes_of(genes: NDArray[np.bool_]) -> list[dict[str, Any]]:

@@ -19,6 +19,7 @@ from termsel import (
     Scaling,
     Undetermined,
 )
+from termsel.toolkit import Remedy
 from termsel_rpc.correction import BoolArray, CorrectedRpc, Correction, RefinementSolution, fit_of
 from termsel_rpc.image_space import RpcAffine
 from termsel_rpc.refinement import FloatArray
@@ -147,7 +148,7 @@ class Local(Estimator):
         if field.probability <= LIKELY:
             raise Undetermined("the points do not show local deformation beyond the RPC: its "
                                f"probability is {field.probability:.2g}",
-                               hint="Choose rpc-affine, or --strategy auto.")
+                               hint=f"Choose rpc-affine, or {Remedy('strategy', 'auto')}.")
         solution = RefinementSolution(
             np.zeros(len(ready.terms)), field.effective, 2 * len(in_use.points), float("nan"),
             HeldOut.of(field.errors * scaling.image_scale, in_use))
@@ -182,7 +183,7 @@ class LocalRpc(CorrectedRpc):
         if gain <= 0:
             raise Undetermined("corrections of the RPC alone predict left-out points as well as "
                                "local deformation does",
-                               hint="Choose rpc-affine, or --strategy auto.")
+                               hint=f"Choose rpc-affine, or {Remedy('strategy', 'auto')}.")
         return with_field
 
     def describe(self, fitted: Fit) -> str:

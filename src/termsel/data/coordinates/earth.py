@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from termsel.core.errors import DOUBT, PENDING, TermselError
+from termsel.core.remedies import ReadRemedy, Remedy
 from termsel.data.coordinates.crs import (
     EARTH,
     EXAMPLES,
@@ -91,8 +92,8 @@ def note_on_turned(features: FeatureSet) -> str:
             condition = f"If {location} is {'' if are_ground else 'not '}the place"
         else:
             condition = "Or else"
-        return (f"{doubt}. --set {exchanging} exchanges them. {condition}, {other} are swapped: "
-                f"--set {exchanging_others}.")
+        return (f"{doubt}. {_as_option(exchanging)} exchanges them. {condition}, {other} are "
+                f"swapped: {_as_option(exchanging_others)}.")
     # Lattices that a processor computed, and points that name a sensor, say how it saw the ground.
     is_declared = lattice_of(features) is not None or _SENSOR in features.points.attributes
     rotation = None if is_declared else _rotation_to_east_north_up(features)
@@ -116,9 +117,16 @@ def note_on_turned(features: FeatureSet) -> str:
                 "scan of the back of a film, is so.")
     if not is_declared and _is_mirrored_plane(features):
         return ("the image mirrors the plane of x and y, as where y points down in both. If it "
-                "points up in the plane, line and sample may be swapped: --set "
-                "swapped=line-sample exchanges them, and --set swapped=xy x and y.")
+                "points up in the plane, line and sample may be swapped: "
+                f"{ReadRemedy('swapped', 'line-sample')} exchanges them, and "
+                f"{ReadRemedy('swapped', 'xy')} x and y.")
     return ""
+
+
+def _as_option(setting: str) -> ReadRemedy:
+    """Return what exchanges axes, such as swapped=xy, as an option of reading."""
+    name, value = setting.split("=")
+    return ReadRemedy(name, value)
 
 
 def _is_mirrored_plane(features: FeatureSet) -> bool:
@@ -136,7 +144,7 @@ def unknown_crs_error(features: FeatureSet, may_turn: bool) -> TermselError:
     say it. If axes look swapped and `may_turn`, they say which option exchanges them, too.
     """
     error = TermselError("the CRS of the ground coordinates is unknown", code="crs-unknown",
-                         hint=f"State it with --crs, in Python crs=: {EXAMPLES}.")
+                         hint=f"State it with {Remedy('crs')}: {EXAMPLES}.")
     ground = features.ground_vertices()
     plane = ground[:, :2]
     column, said = crs_of_columns(features)

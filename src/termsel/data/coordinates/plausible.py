@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from termsel.core.errors import TermselError, count_in_words, first_names_in_words
+from termsel.core.remedies import ReadRemedy
 from termsel.data.coordinates.crs import (
     EARTH,
     UTM,
@@ -311,7 +312,7 @@ def _refuse_outside_range(xy: FloatArray, features: FeatureSet, low: tuple[float
     is_outside_exchanged: BoolArray = np.asarray(
         ((exchanged < low) | (exchanged > high)).any(axis=1))
     if not is_outside_exchanged.any():
-        hint = "x and y look swapped: --set swapped=xy exchanges them."
+        hint = f"x and y look swapped: {ReadRemedy('swapped', 'xy')} exchanges them."
     elif not is_outside_exchanged[is_outside].any():
         hint = f"Perhaps x and y are swapped there. {hint_of()}"
     else:
@@ -484,7 +485,7 @@ def _note_on_area(features: FeatureSet) -> str:
              f"from {position_in_words((west, south))} to {position_in_words((east, north))}: ")
     # Many countries call the northing X.
     if _is_in_area(features.points.ground[:, [1, 0, 2]], crs, area, AREA_MARGIN):
-        return f"{where}x and y look swapped. --set swapped=xy exchanges them."
+        return f"{where}x and y look swapped. {ReadRemedy('swapped', 'xy')} exchanges them."
     return (f"{where}the coordinates are of another grid, and what is stated in metres may be of "
             "another unit. State their own CRS with --crs, or --crs local for a grid without one.")
 

@@ -57,7 +57,8 @@ def _table_records(frame: Any) -> tuple[list[dict[str, Any]], str]:
         return list(frame.to_dicts()), ""
     if not hasattr(frame, "to_dict") or not hasattr(frame, "columns"):
         raise TermselError(f"features cannot be read from the type {type(frame).__name__}",
-                           hint=f"Give {ACCEPTED}.")
+                           hint=f"Give {ACCEPTED}. Of an array A: {{'line': A[:, 0], "
+                                "'sample': A[:, 1], 'x': A[:, 2], 'y': A[:, 3]}.")
     repeated = [str(name) for name in frame.columns[frame.columns.duplicated()]]
     if repeated:
         raise TermselError(f"the table has several columns named {repeated[0]!r}",

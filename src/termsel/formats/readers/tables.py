@@ -451,6 +451,7 @@ def _column_by_meaning(path: Path | None, line: int | None, header: Sequence[str
 
     Raises TermselError for a meaning whose column is missing, ambiguous, or declared to be another.
     """
+    _refuse_one_for_two(path, line, header, stated)
     columns: dict[str, int] = {}
     by_name = columns_by_meaning(header, aliases)
 
@@ -500,6 +501,20 @@ def _column_by_meaning(path: Path | None, line: int | None, header: Sequence[str
                  path or "the table", " and ".join(heights), ", ".join(aliases[heights[0]]),
                  extra={PENDING: ON_SUCCESS})
     return columns
+
+
+def _refuse_one_for_two(path: Path | None, line: int | None, header: Sequence[str],
+                        stated: Mapping[str, int]) -> None:
+    """Raise TermselError where --columns names one column for two meanings."""
+    meanings: dict[int, str] = {}
+    for meaning, column in stated.items():
+        if column in meanings:
+            raise TermselError(
+                f"--columns takes this column for both {meanings[column]} and {meaning}",
+                file=path, line=line, column=header[column].strip(),
+                hint="Name a column for each. The columns here are: "
+                     f"{', '.join(name.strip() for name in header)}.")
+        meanings[column] = meaning
 
 
 def _refuse_if_column_taken(path: Path | None, line: int | None, header: Sequence[str],

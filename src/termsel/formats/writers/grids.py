@@ -15,6 +15,7 @@ from termsel.core.files.atomic import atomic_path, utf8_bytes, write_bytes, writ
 from termsel.core.files.names import is_there
 from termsel.core.files.texts import xml_text
 from termsel.core.options import COUNT, Option
+from termsel.core.remedies import Remedy
 from termsel.data.coordinates.earth import place_of
 from termsel.data.coordinates.longitudes import nearest_longitudes, turn_of
 from termsel.data.coordinates.metres import ground_for_warping
@@ -71,8 +72,8 @@ class GridWriter(Writer):
             # The middle height of the control.
             height = float(fitted.ground_box()[0][2])
             if fitted.model.uses_height and self.options["dem"] is None:
-                log.warning("Warning: without a raster of heights (--dem) the ground is taken as "
-                            "level, at the height %.6g.", height)
+                log.warning("Warning: without a raster of heights (%s) the ground is taken as "
+                            "level, at the height %.6g.", Remedy("dem"), height)
                 sampled = places_of(fitted)
                 level = sampled * [1, 1, 0] + [0, 0, height]
                 say_deviation(self.name, fitted, sampled, fitted.project(level),

@@ -20,6 +20,7 @@ from termsel.core.files.atomic import (
 from termsel.core.files.names import is_there
 from termsel.core.files.reasons import reason_of
 from termsel.core.options import Option
+from termsel.core.remedies import Remedy
 from termsel.data.coordinates.crs import LOCAL, normalise, to_wgs84
 from termsel.data.coordinates.metres import height_unit
 from termsel.data.rasters import empty_tiff, open_raster, require_rasterio
@@ -128,7 +129,8 @@ class RpcWriter(Writer):
             vendors = [candidate for candidate in candidates if is_there(candidate)]
         if vendors:
             log.warning("Warning: GDAL uses the RPC of %s and not that of %s. Move the former "
-                        "away, or write a VRT with --to rpc-vrt.", vendors[0].name, path.name)
+                        "away, or write a VRT with %s.", vendors[0].name, path.name,
+                        Remedy("to", "rpc-vrt"))
         elif image is not None:
             with open_raster(image) as raster:
                 rpc_in_use = raster.tags(ns="RPC")
@@ -136,9 +138,8 @@ class RpcWriter(Writer):
             if not rpc_in_use or read_rpc(Path(image)) != rpc:
                 stem = Path(image).stem
                 log.warning("Warning: GDAL does not use this RPC for %s. A file beside it has "
-                            "priority, or this file is not named %s. --to rpc-vrt avoids "
-                            "both.", image,
-                            Path(image).with_name(stem + self.suffix))
+                            "priority, or this file is not named %s. %s avoids both.", image,
+                            Path(image).with_name(stem + self.suffix), Remedy("to", "rpc-vrt"))
 
 
 def _warn_of_unknown_datum(result: Result) -> None:

@@ -11,6 +11,7 @@ from termsel.adjustment.leave_out import IndependentPart
 from termsel.adjustment.solve import ROUNDING
 from termsel.core.errors import TermselError
 from termsel.core.options import COUNT, Option
+from termsel.core.remedies import Remedy
 from termsel.data.features import FloatArray, IntArray
 from termsel.fitting.population import Fits
 from termsel.selection.criteria.base import Criterion
@@ -63,7 +64,7 @@ class Ebic(Criterion):
         if fits.used is not None:
             raise TermselError("criterion 'ebic' cannot select control features, as it compares "
                                "models of the same observations",
-                               hint="Choose --criterion check-rmse, press or kfold.")
+                               hint=f"Choose {Remedy('criterion', 'check-rmse')}, press or kfold.")
         genes = fits.gene_of_term
         genes = np.arange(fits.terms.shape[1]) if genes is None else genes
         optional = np.ones(len(genes), dtype=bool) if fits.optional is None else fits.optional

@@ -12,6 +12,7 @@ import numpy as np
 from termsel.core.errors import TermselError
 from termsel.core.isolation.arrays import difference_from_shape, difference_from_type
 from termsel.core.isolation.calls import Check, Guarded
+from termsel.core.remedies import Remedy
 from termsel.data.features import FeatureSet, FloatArray, IntArray, Points
 from termsel.data.record.search import SelectionRecord
 from termsel.models.base import SensorModel
@@ -293,7 +294,7 @@ class Problem(Guarded, ABC):
         """
         raise TermselError("this solver needs a problem whose terms are columns of a linear "
                            "system, or one that selects features alone",
-                           hint="Choose another solver, such as --solver ga or --solver swap.")
+                           hint=f"Choose another solver, such as {Remedy('solver', 'ga')} or swap.")
 
     def row_systems(self) -> tuple[RowSystem, ...] | None:
         """Return the systems whose rows the selected features are.
@@ -316,7 +317,8 @@ class Problem(Guarded, ABC):
             If the genes of this problem do not switch columns of an adjustment.
         """
         raise TermselError("this problem has no design matrix with a column for every gene",
-                           hint="Choose a solver that needs none, such as --solver ga.")
+                           hint="Choose a solver that needs none, such as "
+                                f"{Remedy('solver', 'ga')}.")
 
 
 class ProblemAround(Problem):

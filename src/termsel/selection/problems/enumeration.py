@@ -12,6 +12,7 @@ import numpy as np
 from termsel.adjustment.equations import Equations, row_axes
 from termsel.adjustment.solve import ROUNDING, replace_rounding_by_size
 from termsel.core.errors import TermselError
+from termsel.core.remedies import Remedy
 from termsel.data.features import (
     BoolArray,
     FeatureSet,
@@ -121,7 +122,7 @@ def _refuse_other_errors(inputs: ProblemData) -> None:
 def _not_enumerable_error(why: str) -> TermselError:
     """Return the error for a problem that has no linear system per axis, with the reason."""
     return TermselError(f"this solver needs one linear system per axis: {why}",
-                        hint="Choose another solver, such as --solver ga or --solver swap.")
+                        hint=f"Choose another solver, such as {Remedy('solver', 'ga')} or swap.")
 
 
 def _axis_system(model: RationalModel, inputs: ProblemData, equations: Equations, image_axis: int,

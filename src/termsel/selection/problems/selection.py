@@ -11,6 +11,7 @@ import numpy as np
 from termsel.adjustment.leave_out import independent_parts, solve_parts
 from termsel.adjustment.solve import ROUNDING, replace_rounding_by_size
 from termsel.core.errors import TermselError, unknown_name_error
+from termsel.core.remedies import Remedy
 from termsel.data.coordinates.places import feature_centres
 from termsel.data.features import BoolArray, FloatArray, IntArray, select
 from termsel.fitting.least_squares import first_order_equations
@@ -87,7 +88,7 @@ class SelectionProblem(Problem):
         self.equations = first_order_equations(model, control)
         if _iterated_model(inputs) and not inputs.criterion.needs_check:
             raise TermselError("weighted=true judges selections by selection points",
-                               hint="Choose --criterion check-rmse.")
+                               hint=f"Choose {Remedy('criterion', 'check-rmse')}.")
         # Denominators must be positive at all of these, wherever the image is used.
         self._guard = guard_points(control, inputs.check)
         self._margin = pole_margin(control.points)
@@ -109,7 +110,7 @@ class SelectionProblem(Problem):
                 raise TermselError(
                     f"features of model {model.name!r} cannot be selected without selection "
                     "points: it corrects its predictions by "
-                    "control", hint="Choose --criterion check-rmse.")
+                    "control", hint=f"Choose {Remedy('criterion', 'check-rmse')}.")
             min_features, max_features = _feature_counts(inputs)
             if subset and min_features == max_features:
                 segments.append(Subset("features", control.ids, min_features))

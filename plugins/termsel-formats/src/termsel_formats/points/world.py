@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from termsel import FeatureSet, Option, Points, Reader, Result, TermselError, open_raster
-from termsel.toolkit import FloatArray, read_text, say_deviation, write_text
+from termsel.toolkit import FloatArray, Remedy, read_text, say_deviation, write_text
 from termsel.toolkit.coordinates import LOCAL, horizontal_crs
 from termsel.toolkit.files import places_of
 from termsel.toolkit.models import refuse_sky
@@ -137,7 +137,8 @@ class WorldFileWriter(PointsWriter):
         design = np.column_stack([np.ones(finite.sum()), image[finite, 1], image[finite, 0]])
         if np.linalg.matrix_rank(design) < 3:
             raise TermselError("the model gives no ground positions for most of the image",
-                               file=path, hint="Fit a simpler model, such as --model affine.")
+                               file=path, hint="Fit a simpler model, such as "
+                                               f"{Remedy('model', 'affine')}.")
         # Ground coordinates are large next to the extent of the image: counted from their middle,
         # they keep their digits.
         middle = ground[finite, :2].mean(axis=0)
@@ -148,7 +149,8 @@ class WorldFileWriter(PointsWriter):
         matrix = np.array([[down_x, right_x], [down_y, right_y]])
         if np.linalg.matrix_rank(matrix) < 2:
             raise TermselError("no affine map comes near the model", file=path,
-                               hint="Export the points instead, such as --to gcp-vrt.")
+                               hint="Export the points instead, such as "
+                                    f"{Remedy('to', 'gcp-vrt')}.")
         write_text(path, "".join(f"{float(number)!r}\n" for number in numbers))
         say_deviation(self.name, fitted, ground, _ground_to_image(ground, numbers, matrix))
         crs = result.features.crs

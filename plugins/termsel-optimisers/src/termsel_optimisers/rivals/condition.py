@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from termsel import Criterion, FeatureSet, Fits, Option, Points, TermselError
+from termsel.toolkit import Remedy
 from termsel_optimisers.arrays import FloatArray
 
 SIDE = 9
@@ -45,7 +46,7 @@ class FigureCondition(Criterion):
         if fits.model.corrects:
             raise TermselError(f"criterion {self.name!r} cannot judge model {fits.model.name!r}, "
                                "which corrects its predictions by the control",
-                               hint="Choose --criterion check-rmse.")
+                               hint=f"Choose {Remedy('criterion', 'check-rmse')}.")
         grid = places_of(fits)
         image = fits.model.project(fits.coefficients, grid)
         denominators = fits.model.denominators(fits.coefficients, grid)

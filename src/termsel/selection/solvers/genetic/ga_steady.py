@@ -10,6 +10,7 @@ from deap import base
 
 from termsel.core.errors import TermselError
 from termsel.core.options import Option
+from termsel.core.remedies import Remedy
 from termsel.data.features import BoolArray, IntArray
 from termsel.selection.problems.base import Evaluation, Problem
 from termsel.selection.problems.genome import Genome
@@ -61,8 +62,9 @@ def coding_of_genome(genome: Genome) -> Coding:
         names = ", ".join(segment.name for segment in genome.segments)
         raise TermselError(
             f"solver 'ga-steady' chooses m features of n, but this problem chooses {names}",
-            hint="Choose only features, as with --problem owdis-points --set min_features=12 --set "
-                 "max_features=12, or use --solver ga.")
+            hint=f"Choose only features, as with {Remedy('problem', 'owdis-points')} and "
+                 f"{Remedy('set', 'min_features=12')} {Remedy('set', 'max_features=12')}, or use "
+                 f"{Remedy('solver', 'ga')}.")
     segment = genome.segments[0]
     assert isinstance(segment, Bits | Subset)  # what the solver declares
     free = np.flatnonzero(genome.free)

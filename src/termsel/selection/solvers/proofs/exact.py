@@ -13,6 +13,7 @@ import numpy as np
 from termsel.core.errors import TermselError, amount_in_words
 from termsel.core.isolation.parts import value_of_slot as part_of
 from termsel.core.options import COUNT, Option
+from termsel.core.remedies import Remedy
 from termsel.selection.best_subsets import subsets
 from termsel.selection.problems.base import EnumerablePart, Problem
 from termsel.selection.problems.segments import AnySegment, Bits, Genes, Subset
@@ -210,7 +211,7 @@ def _require_unbeaten(problem: Problem, proof: Proof, generation: Generation,
             f"the enumeration ends at {best:.6g}, but a selection it passed over has {lowest:.6g}: "
             "the criterion's subset_score does not agree with its score",
             hint="Tell the author of the criterion, or choose another solver, such as "
-                 "--solver ga.")
+                 f"{Remedy('solver', 'ga')}.")
 
 
 def _estimate(problem: Problem, subproblems: tuple[EnumerablePart, ...], max_terms: int | None,

@@ -11,6 +11,7 @@ import numpy as np
 
 from termsel.adjustment.solve import ROUNDING, TOLERANCE, index_of_largest
 from termsel.core.errors import TermselError
+from termsel.core.remedies import Remedy
 from termsel.data.features import BoolArray, FloatArray, IntArray
 from termsel.selection.best_subsets.columns.system import SubsetSystem
 from termsel.selection.problems.base import EnumerablePart, Problem
@@ -153,8 +154,8 @@ def regressions_of_problem(problem: Problem) -> list[Regression]:
     """
     if any(subproblem.system.parents is not None for subproblem in problem.parts()):
         raise TermselError("regression adds and drops single terms and cannot keep a hierarchy",
-                           hint="Choose another solver, such as --solver ga or exact, or remove "
-                                "hierarchy=true.")
+                           hint=f"Choose another solver, such as {Remedy('solver', 'ga')} or "
+                                "exact, or remove hierarchy=true.")
     return [_regression_of_axes(problem, subproblem) for subproblem in problem.parts()]
 
 
