@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 from numpy.typing import NDArray
+from rasterio.transform import from_origin
 
 pytest.importorskip("termsel_cameras", reason="termsel-cameras is not installed: "
                     "pip install -e plugins/termsel-cameras")
@@ -23,7 +25,7 @@ from termsel_cameras.known.cameras import CAMERAS
 from termsel_cameras.known.interior import interior_of, interior_of_file
 from termsel_cameras.known.lens import Lens
 from termsel_cameras.known.method import KNOWN_CAMERA
-from termsel_cameras.known.sharing import shared_camera, unlike_photos
+from termsel_cameras.known.sharing import SharedCamera, shared_camera, unlike_photos
 
 SIZE, FOCAL, HIGH = (3000, 4000), 3500.0, 1200.0
 CRS = "EPSG:32633"
@@ -337,6 +339,43 @@ def test_photos_of_one_flight_share_their_camera(tmp_path: Path) -> None:
     assert abs(camera["focal"] / FOCAL - 1.0) < max(3.0 * camera["focal_spread"], 0.01)
     assert abs(camera["distortion"][0] + 0.03) < 0.03
     assert camera["size"] == list(SIZE)
+
+
+def test_photos_of_a_flight_are_read_as_those_of_a_batch(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    taken: list[FeatureSet] = []
+
+    def of_stand_in(photos: list[FeatureSet], *_: object) -> SharedCamera:
+        taken.extend(photos)
+        return SharedCamera(FOCAL, 0.01, 0.0, 1.0, photos=1, points=4, residuals=(1.0,))
+
+    monkeypatch.setattr("termsel_cameras.known.sharing.shared_camera", of_stand_in)
+    dem = tmp_path / "dem.tif"
+    with rasterio.open(dem, "w", driver="GTiff", width=30, height=30, count=1, dtype="float32",
+                       crs=CRS, transform=from_origin(399_000, 5_001_500, 100, 100)) as raster:
+        raster.write(np.full((30, 30), 250.0, np.float32), 1)
+    path = tmp_path / "photo.csv"
+    path.write_text("nombre,fila,columna,este,norte\nA,10,20,400010,5000020\n"
+                    "B,900,40,400030,4999100\nC,20,800,400900,5000010\nD,950,980,401000,4999000\n")
+    words = ["flight-camera", path, "--crs", CRS, "--size", *SIZE, "-o", tmp_path / "camera.json"]
+    columns = "id=nombre,line=columna,sample=fila,x=este,y=norte"
+    done = invoke(*words, "--dem", dem, "--columns", columns, "--set", "swapped=line-sample")
+    assert done.exit_code == 0, done.stderr
+    assert taken[0].points.ids == ("A", "B", "C", "D")
+    assert taken[0].points.image.tolist()[1] == [900.0, 40.0]
+    assert taken[0].points.ground[:, 2].tolist() == [250.0] * 4
+
+
+@pytest.mark.parametrize(("setting", "message"), [
+    ("camera_focal=3500", "flight-camera has no option 'camera_focal'"),
+    ("degree=2", "flight-camera has no option 'degree'"),
+    ("z_unti=ft", "z_unti"), ("z_unit", "not of the form KEY=VALUE")])
+def test_options_that_a_flight_has_not_are_refused(
+        setting: str, message: str, tmp_path: Path) -> None:
+    done = invoke("flight-camera", tmp_path / "a.csv", "--size", 100, 100, "--set", setting, "-o",
+                  tmp_path / "camera.json")
+    assert done.exit_code == 2
+    assert message in done.stderr
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ import click
 from termsel.cli.bars import study_bar
 from termsel.cli.completion import complete
 from termsel.cli.messages import echo, say_once, say_written, show_messages, take_pending
-from termsel.cli.options.run_options import COLUMNS_OPTION, parse_settings
+from termsel.cli.options.run_options import COLUMNS_OPTION, parse_settings, take_reading
 from termsel.cli.options.shared import progress_option, remote_option
 from termsel.cli.tables import print_table
 from termsel.cli.topics import Whole
@@ -246,11 +246,7 @@ def _keys_of(options: dict[str, Any]) -> dict[str, Any]:
     settings = parse_settings(options["settings"], projection_candidates=None
                               if candidates is None else str(candidates))
     if files:
-        from termsel.io.read import read_options, refuse_misspelt
-
-        of_reading = {option.name: settings.pop(option.name) for option in read_options()
-                      if option.name in settings} if settings else {}
-        refuse_misspelt(settings)
+        of_reading = take_reading(settings)
         keys["data"] = [{**files, **file_options,
                          **({"options": of_reading} if of_reading else {})}]
     # Left out where not given: a study has its own defaults, which an empty budget would hide.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -21,8 +22,9 @@ from termsel.toolkit import (
     show_messages,
     write_text,
 )
-from termsel.toolkit.commands import say_once
+from termsel.toolkit.commands import COLUMNS_OPTION, parse_settings, say_once, take_reading
 from termsel.toolkit.coordinates import LOCAL
+from termsel.toolkit.files import quiet_logger
 
 if TYPE_CHECKING:
     from termsel_cameras.sheets.choosing import Tried
@@ -231,9 +233,12 @@ def _say_paper(series: Series) -> None:
              "of them of another map, or scanned at another resolution? Then leave it out.")
 
 
-def _read_photo(photo: Path, crs: str | None, size: tuple[int, int]) -> FeatureSet:
-    """Return the points of a photo; raises TermselError if one lies outside its `size`."""
-    features = read(photo, crs=crs)
+def _read_photo(photo: Path, size: tuple[int, int], reading: Mapping[str, Any]) -> FeatureSet:
+    """Return the points of a photo; raises TermselError if one lies outside its `size`.
+
+    `reading` are arguments of `termsel.read`, such as a CRS and a raster of heights.
+    """
+    features = read(photo, **reading)
     try:
         require_inside(features, size, photo)
     except TermselError as error:
@@ -242,9 +247,27 @@ def _read_photo(photo: Path, crs: str | None, size: tuple[int, int]) -> FeatureS
     return features
 
 
+def _reading_of(settings: tuple[str, ...]) -> dict[str, str]:
+    """Return the options of reading that --set states.
+
+    Raises TermselError for others, and for those of a camera, which is what is looked for.
+    """
+    options = parse_settings(settings)
+    reading = take_reading(options)
+    for name in (*options, *(name for name in reading if name.startswith("camera"))):
+        raise TermselError(f"flight-camera has no option {name!r}",
+                           hint="--set takes options of reading, such as z_unit=ft; a rough focal "
+                                "length is that of --focal.")
+    return reading
+
+
 @click.command("flight-camera")
 @click.argument("photos", nargs=-1, required=True, type=_PATH, metavar="PHOTOS...")
 @click.option("--crs", metavar="CRS", help="CRS of the points of all photos.")
+@click.option("--dem", metavar="FILE", help="Raster of heights for the points of all photos.")
+@COLUMNS_OPTION
+@click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
+              help="An option of reading, such as z_unit=ft; may be repeated.")
 @click.option("--size", nargs=2, type=int, metavar="LINES SAMPLES", required=True,
               help="Size of the photos [px].")
 @click.option("--focal", type=click.FloatRange(0, min_open=True), metavar="PX",
@@ -252,27 +275,33 @@ def _read_photo(photo: Path, crs: str | None, size: tuple[int, int]) -> FeatureS
 @click.option("--output", "-o", type=_PATH, required=True, metavar="FILE.json",
               help="Camera file to write; the option camera takes it.")
 @_OVERWRITE
-def flight_camera(photos: tuple[Path, ...], crs: str | None, size: tuple[int, int],
-                  focal: float | None, output: Path, overwrite: bool) -> None:
+def flight_camera(photos: tuple[Path, ...], settings: tuple[str, ...], size: tuple[int, int],
+                  focal: float | None, output: Path, overwrite: bool, **reading: str | None,
+                  ) -> None:
     """Find the camera that all photos of one flight share, from their control points.
 
-    PHOTOS are files of points with heights, a photo each. Focal length and radial distortion are
-    those that the points of all photos together support.
+    PHOTOS are files of points, a photo each, with heights of their own or of --dem. Focal length
+    and radial distortion are those that the points of all photos together support.
 
     \b
     Examples:
       termsel flight-camera photos/*.csv --crs EPSG:32633 --size 3648 5472 -o camera.json
+      termsel flight-camera photos/*.csv --crs EPSG:32633 --dem dem.tif --size 3648 5472 \\
+          -o camera.json
       termsel compare --points 'photos/*.csv' --crs EPSG:32633 --set camera=camera.json --out result
     """
     import json
 
     from termsel_cameras.known.sharing import shared_camera, unlike_photos
 
-    require_replaceable([output], reads=photos, overwrite=overwrite, written_as="JSON")
+    dem = reading["dem"]
+    require_replaceable([output], reads=[*photos, *([Path(dem)] if dem else [])],
+                        overwrite=overwrite, written_as="JSON")
+    options = {**reading, **_reading_of(settings)}
     show_messages()
     # All photos of a flight have the same notes.
-    with say_once("photo"):
-        read_photos = [_read_photo(photo, crs, size) for photo in photos]
+    with say_once("photo"), quiet_logger("termsel.formats.heights", logging.WARNING):
+        read_photos = [_read_photo(photo, size, options) for photo in photos]
     camera = shared_camera(read_photos, size, focal)
     content = {"focal": round(camera.focal, 3), "focal_spread": round(camera.spread, 6),
                "distortion": [round(camera.k1, 8)], "size": list(size),

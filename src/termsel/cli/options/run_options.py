@@ -296,7 +296,7 @@ class RunOptions:
         first two are taken out here, as their names say what they are for. Raises TermselError for
         an option that is given twice or is misspelt, and for files that cannot be read.
         """
-        from termsel.io.read import read, read_options, readers_of, refuse_misspelt
+        from termsel.io.read import read, readers_of
         from termsel.plugins.registry import registry
 
         options = dict(self.options)
@@ -307,10 +307,7 @@ class RunOptions:
         if not self.files:
             return None, options
         self._require_correction()
-        # Without --set nothing need be imported to know these options.
-        of_reading = {option.name: options.pop(option.name) for option in read_options()
-                      if option.name in options} if options else {}
-        refuse_misspelt(options)
+        of_reading = take_reading(options)
         arguments = {"raster": self.raster, "image_lines": self.image_lines,
                      "columns": self.columns}
         accepted: set[str] = set()
@@ -504,3 +501,27 @@ def parse_settings(settings: tuple[str, ...], **named: str | None) -> dict[str, 
         if stated is not None and options.setdefault(key, stated) != stated:
             raise TermselError(f"{key} is given twice", hint="Give it once.")
     return options
+
+
+def take_reading(settings: dict[str, str]) -> dict[str, str]:
+    """Take the options of reading out of those of ``--set``, and return them.
+
+    Parameters
+    ----------
+    settings : dict of str to str
+        It keeps all others.
+
+    Raises
+    ------
+    TermselError
+        For an option that is left and begins as one of reading does, such as camera_fokal.
+    """
+    # Without --set nothing need be imported to know these options.
+    if not settings:
+        return {}
+    from termsel.io.read import read_options, refuse_misspelt
+
+    of_reading = {option.name: settings.pop(option.name) for option in read_options()
+                  if option.name in settings}
+    refuse_misspelt(settings)
+    return of_reading

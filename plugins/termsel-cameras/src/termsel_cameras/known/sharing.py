@@ -120,7 +120,7 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
         requirement = f"{MIN_POINTS_OF_PHOTO} control points with heights"
         if any(len(photo.points) >= MIN_POINTS_OF_PHOTO for photo in photos):
             raise TermselError(f"no photo has {requirement}: the points have no heights",
-                               hint="Add a column z, for example with heights from a DEM.")
+                               hint="Add a column z, or give a raster of heights: --dem FILE.")
         raise TermselError(f"no photo has {requirement}",
                            hint="Measure more points in each photo.")
     flight = _Flight(data)
