@@ -13,6 +13,7 @@ import termsel
 from termsel.cli.main import cli
 from termsel.data.coordinates.crs import to_wgs84
 from termsel.data.features import FeatureSet
+from termsel.io.accuracy_tags import prediction_of
 from termsel.results.result import Result
 from termsel.simulate import scene_truth, simulate_scene
 
@@ -39,6 +40,20 @@ def _error(result: Result, seed: int) -> float:
     ground = simulate_scene("irs1c-mashad", seed=99, n_points=200).points.ground
     truth = scene_truth("irs1c-mashad", seed=seed).sensor.project(ground)
     return float(np.sqrt(((result.project(ground) - truth) ** 2).sum(axis=1).mean()))
+
+
+def test_what_is_predicted_of_the_final_fit_is_stated_of_the_points_it_was_found_from(
+        result: Result) -> None:
+    exported = result.as_exported()
+    assert result.final_fit is not None
+    assert exported.predicted == result.final_fit.predicted
+    stated = [prediction_of(either) for either in (result, exported)]
+    count = len(result.data.roles.control) + len(result.data.roles.check)
+    assert len(result.fit.control.points) < count < len(exported.fit.control.points)
+    for prediction in stated:
+        assert prediction is not None
+        assert f"without some of the {count} control points" in prediction.method
+        assert prediction.rmse == result.final_fit.predicted.rmse
 
 
 @pytest.mark.slow

@@ -180,8 +180,25 @@ def test_the_time_of_a_batch_is_that_of_images_of_all_sizes(
     data = {f"{i}": image(11.0, 46.0, size, seed=i) for i, size in enumerate(sizes)}
     (_, number, seconds, _, _), = estimate(data=data)
     assert number == len(sizes)
-    assert len(set(timed)) <= 3
+    assert len(timed) <= 4
     assert number * seconds == pytest.approx(sum(sizes), rel=0.2)
+
+
+def test_the_time_of_a_batch_is_of_images_that_were_not_seen_before(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = set()
+
+    def done(cell: SimpleNamespace, features: FeatureSet) -> object:
+        # What was found of the same features before is remembered.
+        seconds = 0.1 if features in seen else 1.0
+        seen.add(features)
+        record = type("Record", (), {"figures": {"seconds": seconds}, "reason": ""})
+        return type("Outcome", (), {"record": record})
+
+    monkeypatch.setattr("termsel.studies.compare.do", done)
+    data = {f"{i}": image(11.0, 46.0, 9, seed=i) for i in range(5)}
+    (_, _, seconds, _, _), = estimate(data=data)
+    assert seconds == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(("wait", "is_said"), [(4.0, True), (1.1, False)])

@@ -157,6 +157,20 @@ def test_a_doubt_about_all_sheets_is_said_once(tmp_path: Path) -> None:
     assert "that on grads concerns 2 further sheets as well" in done.stderr
 
 
+def test_a_sheet_without_a_crs_is_in_degrees_if_it_can_be(tmp_path: Path) -> None:
+    wide = [f"{10.0 * i},{50.0 + 3.0 * (i % 2)},{700 * i},{500 + 130 * (i % 2)}"
+            for i in range(8)]  # half a continent: which projection it is in may be asked
+    (tmp_path / "wide.csv").write_text("x,y,sample,line\n" + "\n".join(wide), encoding="utf-8")
+    done = invoke("map-series", tmp_path / "wide.csv")
+    assert done.exit_code == 0, done.stderr
+    metres = [f"{430_000 + 900 * i},{5_200_000 + 700 * (i % 2)},{700 * i},{500 + 130 * (i % 2)}"
+              for i in range(8)]
+    (tmp_path / "m.csv").write_text("x,y,sample,line\n" + "\n".join(metres), encoding="utf-8")
+    refused = invoke("map-series", tmp_path / "m.csv")
+    assert refused.exit_code == 2
+    assert "the CRS of the ground coordinates is unknown" in refused.stderr
+
+
 def test_sheets_of_a_series_share_their_projection(tmp_path: Path) -> None:
     sheets = [sheet(10, 2), *(sheet(4, seed, (7.0 + seed / 5, 45.0), 1.5) for seed in range(3))]
     candidates = tmp_path / "mine.txt"

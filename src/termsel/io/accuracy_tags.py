@@ -72,6 +72,11 @@ def prediction_of(result: Result) -> Prediction | None:
         return None
     control = result.fit.control
     points = len(control.points)
+    if result.strategy is not None:
+        # The choice is by control and selection points; a fit may have fewer, or the independent
+        # points, too.
+        chosen_by = {*result.data.roles.control, *result.data.roles.check}
+        points = sum(name in chosen_by for name in result.features.points.ids)
     lines = len(control.lines)
     noun = "control feature" if points and lines else "control line" if lines else "control point"
     features = count_in_words(points + lines, noun)

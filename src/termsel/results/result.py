@@ -270,8 +270,11 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         residuals = residuals_of(restrict_to_control(self.final, observations), observations,
                                  self.outliers,
                                  check_used=True, independent_used=in_use)
+        # What is predicted for it, where anything is.
+        of_final_fit = self.final_fit and self.final_fit.predicted
         return self.with_(fit=self.final, final=None, final_fit=None,
                           exports="selection", residuals=residuals,
+                          predicted=of_final_fit or self.predicted,
                           **numbers_of(self.final))
 
     @property

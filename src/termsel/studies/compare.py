@@ -241,9 +241,9 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None,
     """Yield how long the cells of each kind take, and why some of them failed, if any did.
 
     Arguments as for `compare`. Cells with the fewest, middling and most features are run, and the
-    time of the others is interpolated. The first is run twice, unless it takes
-    `LONG_CELL_SECONDS`. A cell is ended after `PROBE_SECONDS`, which then is the least that it
-    takes, and the reason says so.
+    time of the others is interpolated. The first also loads what its kind needs: another takes its
+    place, unless it takes `LONG_CELL_SECONDS`. A cell is ended after `PROBE_SECONDS`, which then is
+    the least that it takes, and the reason says so.
     """
     spec, folder = requested_study(study, keys)
     # Before anything is run: the first cell would otherwise count the compilation.
@@ -257,24 +257,28 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None,
             yield Estimate(kind, len(cells), None, _reasons_not_to_run(cells))
             continue
         sizes = [len(features[cell.data.key]) for cell in works]
-        sample = [_probe(cell) for cell in _cells_of_all_sizes(works, sizes)]
+        sample, spare = _cells_of_all_sizes(works, sizes)
         records = [do(cell, features[cell.data.key]).record for cell in sample]
         loading = 0.0
         if cold or records[0].figures.get("seconds", LONG_CELL_SECONDS) < LONG_CELL_SECONDS:
             # The first run of a kind also loads or compiles what it needs.
             first_seconds = records[0].figures.get("seconds", 0.0)
-            records[0] = do(sample[0], features[sample[0].data.key]).record
+            # The same features once more would be answered from memory; those of others are not.
+            sample[0] = spare
+            records[0] = do(spare, features[spare.data.key]).record
             # A batch compiles nothing that is compiled here, but loads it again.
             if not cold:
                 further_seconds = records[0].figures.get("seconds", first_seconds)
                 loading = max(first_seconds - further_seconds, 0.0)
-        seconds_by_size: dict[int, float] = {}
+        times_of_size: dict[int, list[float]] = {}
         for cell, record in zip(sample, records, strict=True):
-            size = len(features[cell.data.key])
-            if "seconds" in record.figures:
-                seconds_by_size[size] = record.figures["seconds"]
+            times = times_of_size.setdefault(len(features[cell.data.key]), [])
             if record.reason == OUT_OF_TIME.format(PROBE_SECONDS):
-                seconds_by_size[size] = PROBE_SECONDS
+                times.append(PROBE_SECONDS)
+            elif "seconds" in record.figures:
+                times.append(record.figures["seconds"])
+        seconds_by_size = {size: sum(times) / len(times)
+                           for size, times in times_of_size.items() if times}
         reasons = [record.reason for record in records if record.reason]
         yield Estimate(kind, len(cells), _mean_time(sizes, seconds_by_size),
                        reasons[0] if reasons else "", loading)
@@ -295,15 +299,20 @@ def _reasons_not_to_run(cells: list[Cell]) -> str:
     return f"{cells[0].data.reason}{others}"
 
 
-def _cells_of_all_sizes(cells: list[Cell], sizes: list[int]) -> list[Cell]:
-    """Return up to three cells of one kind: with the fewest features, middling, with the most.
+def _cells_of_all_sizes(cells: list[Cell], sizes: list[int]) -> tuple[list[Cell], Cell]:
+    """Return up to three cells of one kind, and one to run in the place of the first.
 
-    `sizes` are the numbers of features of the cells; no two cells returned have the same.
+    They have the fewest features, a middling number and the most, no two of them the same features,
+    and end in time; `sizes` are the numbers of features of all cells. The one for the first has the
+    fewest of those that are left; where none is left, it is the first itself.
     """
-    by_size = sorted(range(len(cells)), key=sizes.__getitem__)
-    ranks = (0, len(cells) // 2, len(cells) - 1)
-    cell_of_size = {sizes[by_size[rank]]: cells[by_size[rank]] for rank in ranks}
-    return list(cell_of_size.values())
+    by_size = [cells[i] for i in sorted(range(len(cells)), key=sizes.__getitem__)]
+    cell_of_features = {by_size[rank].data.key: by_size[rank]
+                        for rank in (len(cells) - 1, len(cells) // 2, 0)}
+    sample = list(reversed(cell_of_features.values()))
+    keys = {cell.key for cell in sample}
+    spare = next((cell for cell in by_size if cell.key not in keys), sample[0])
+    return [_probe(cell) for cell in sample], _probe(spare)
 
 
 def _mean_time(sizes: list[int], seconds: Mapping[int, float]) -> float | None:

@@ -96,10 +96,13 @@ def _read_sheet(sheet: Path, crs: str | None, meridian: dict[str, str]) -> Featu
     try:
         return read(sheet, crs=crs, **meridian)
     except TermselError as error:
-        # Errors that name --crs as their remedy are those of a file without a CRS.
-        if crs is not None or "--crs" not in error.options:
+        if crs is not None or error.code != "crs-unknown":
             raise
-    return read(sheet, crs="EPSG:4326", **meridian)
+        without_crs = error
+    try:
+        return read(sheet, crs="EPSG:4326", **meridian)
+    except TermselError:
+        raise without_crs from None  # they are no longitudes and latitudes
 
 
 _MAX_LISTED = 3
