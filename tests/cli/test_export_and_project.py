@@ -80,7 +80,7 @@ def test_export_writes_what_is_asked_for(folder: Path, tmp_path: Path) -> None:
 def test_a_vrt_without_pixels_is_said(of_all_terms: termsel.Result, tmp_path: Path, to: str,
                                       caplog: pytest.LogCaptureFixture) -> None:
     termsel.export(of_all_terms, to, tmp_path / "scene.vrt")
-    assert "scene.vrt has no pixels: give the image with --image FILE." in caplog.text
+    assert "scene.vrt has no pixels: give the image with image=FILE." in caplog.text
     assert "Source>" not in (tmp_path / "scene.vrt").read_text()
 
 

@@ -110,7 +110,7 @@ def test_a_file_next_to_a_table_has_its_crs(name: str, tmp_path: Path,
     assert termsel.read(tmp_path / "a.csv").crs == "EPSG:3857"
     assert "Warning" not in caplog.text
     assert termsel.read(tmp_path / "a.csv", crs="EPSG:2056").crs == "EPSG:2056"
-    assert f"{name} has the CRS EPSG:3857, but --crs EPSG:2056 is used" in caplog.text
+    assert f"{name} has the CRS EPSG:3857, but crs='EPSG:2056' is used" in caplog.text
 
 
 def test_a_file_without_a_crs_is_named(tmp_path: Path) -> None:

@@ -215,7 +215,7 @@ def test_a_vrt_without_an_image_holds_all_features(tmp_path: Path,
     with caplog.at_level(logging.WARNING, logger="termsel"):
         termsel.export(result, "rpc-vrt", tmp_path / "s.vrt")
     assert ("Warning: the size of the image is not known. The file says "
-            f"{lines} lines and {samples} samples, which hold all points; --image FILE"
+            f"{lines} lines and {samples} samples, which hold all points; image=FILE"
             ) in caplog.text
     assert f'rasterXSize="{samples}" rasterYSize="{lines}"' in (tmp_path / "s.vrt").read_text()
 

@@ -243,7 +243,7 @@ def test_a_value_that_is_asked_for_is_where_the_map_shows_nothing(
                 and "the ground is taken as level" not in record.getMessage()]
     with rasterio.open(scans.rectified(kind("palette", tmp_path), nodata=3)) as raster:
         assert raster.nodata == 3
-    assert "px of the map have the value 3 of --nodata in the image itself" in caplog.text
+    assert "px of the map have the value 3 of nodata in the image itself" in caplog.text
     with rasterio.open(scans.rectified(kind("rgba", tmp_path), nodata=255)) as raster:
         assert raster.nodata is None
         assert (raster.read()[:3, 0] == 255).all()

@@ -47,7 +47,7 @@ def test_the_warning_names_an_option_that_mends_the_file(
     path = tmp_path / name
     path.write_text(content)
     termsel.read(path, crs="EPSG:4326")
-    assert f"--set swapped={choice} exchanges them" in caplog.text
+    assert f"swapped={choice!r} exchanges them" in caplog.text
     caplog.clear()
     features = termsel.read(path, crs="EPSG:4326", swapped=choice)
     assert "swapped" not in caplog.text

@@ -191,7 +191,7 @@ def test_the_toolkit_holds_what_several_packages_need_and_its_modules_what_one_d
     shared = {name for (module, name), packages in users.items()
               if len(packages) > 1 and module not in by_topic}
     assert shared == set(toolkit.__all__)
-    assert len(shared) <= 52
+    assert len(shared) <= 55
 
 
 def test_at_most_fifteen_rooms_stand_on_the_road() -> None:

@@ -193,7 +193,7 @@ def test_the_command_writes_candidates_for_a_run(place: Any, says: Any, tmp_path
     assert code == 0
     assert "candidates in" in text
     assert "Next: termsel auto-georeference " in text
-    assert "Choose another name, or add --overwrite," in says(*words)[1]
+    assert "Choose another name, or add --overwrite." in says(*words)[1]
     features = termsel.read(table)
     assert table.read_text().splitlines()[1].endswith(",score")
     result = termsel.run("rpc-gcps", features=features, criterion="median", generations=10,

@@ -104,4 +104,6 @@ def _require_beginning(problem: Problem, solver: Solver) -> None:
     except TermselError as error:
         raise TermselError(
             f"solver {solver.name!r} cannot do the second step: {error.what}",
-            hint=error.hint and error.hint.replace("--solver", "--then")) from None
+            # The option of the command line, or the argument of a call.
+            hint=error.hint and error.hint.replace("--solver", "--then").replace(
+                "solver=", "then=")) from None

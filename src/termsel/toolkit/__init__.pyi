@@ -3,11 +3,13 @@ from termsel.cli.bars import share_bar as share_bar
 from termsel.cli.messages import echo as echo
 from termsel.cli.messages import say_written as say_written
 from termsel.cli.messages import show_messages as show_messages
+from termsel.cli.options.run_options import parse_settings as parse_settings
 from termsel.cli.options.shared import final_option as final_option
 from termsel.cli.options.shared import remote_option as remote_option
 from termsel.cli.tables import json_text as json_text
 from termsel.cli.tables import print_json as print_json
 from termsel.cli.tables import print_table as print_table
+from termsel.core.display.quiet import quiet_logger as quiet_logger
 from termsel.core.errors import ONCE as ONCE
 from termsel.core.errors import count_in_words as count_in_words
 from termsel.core.errors import make_printable as make_printable

@@ -1,4 +1,3 @@
-from termsel.core.display.quiet import quiet_logger as quiet_logger
 from termsel.core.files.atomic import atomic_path as atomic_path
 from termsel.core.files.atomic import new_folder as new_folder
 from termsel.core.files.atomic import sync as sync

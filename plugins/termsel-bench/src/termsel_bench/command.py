@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from termsel import TermselError
-from termsel.toolkit import echo, json_text, print_table, say_written, show_messages
-from termsel.toolkit.commands import parse_settings
+from termsel.toolkit import echo, json_text, parse_settings, print_table, say_written, show_messages
 
 if TYPE_CHECKING:
     from termsel_bench.methods.base import Method

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from termsel import TermselError
-from termsel.toolkit import FloatArray, one_blas_thread, require_import, safe_start
-from termsel.toolkit.files import quiet_logger
+from termsel.toolkit import FloatArray, one_blas_thread, quiet_logger, require_import, safe_start
 from termsel_bench.methods.base import Method
 from termsel_bench.scenes.base import BenchSet
 from termsel_bench.scenes.catalogue import simulated_set

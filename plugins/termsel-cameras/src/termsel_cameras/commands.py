@@ -16,15 +16,16 @@ from termsel import FeatureSet, TermselError, read, require_replaceable
 from termsel.toolkit import (
     count_in_words,
     echo,
+    parse_settings,
     print_table,
+    quiet_logger,
     require_inside,
     say_written,
     show_messages,
     write_text,
 )
-from termsel.toolkit.commands import COLUMNS_OPTION, parse_settings, say_once, take_reading
+from termsel.toolkit.commands import COLUMNS_OPTION, say_once, take_reading
 from termsel.toolkit.coordinates import LOCAL
-from termsel.toolkit.files import quiet_logger
 
 if TYPE_CHECKING:
     from termsel_cameras.sheets.choosing import Tried
