@@ -115,9 +115,22 @@ def test_lines_alone_tell(caplog: pytest.LogCaptureFixture) -> None:
 def test_few_points_and_points_on_one_line_are_not_doubted(
         crs: str, place: tuple[float, float], caplog: pytest.LogCaptureFixture) -> None:
     image = exchanged(scene(crs, place, 1e-5), "image")
-    assert said(image.take(np.arange(12) < 3), caplog) == ""
+    assert said(image.take(np.arange(12) < 2), caplog) == ""
     flat = replace(image.points, image=np.column_stack([SEEN[:, 0], SEEN[:, 0]]))
     assert said(image.with_(points=flat), caplog) == ""
+
+
+@pytest.mark.parametrize(("crs", "place", "pixel"), [
+    ("EPSG:4326", (11.0, 47.4), 1e-5), ("EPSG:25832", (690000, 5335000), 2.0),
+    ("local", (100, 100), 0.3), ("local", (-4e5, 7e6), 25.0)])
+def test_three_points_show_a_mirror_image(crs: str, place: tuple[float, float], pixel: float,
+                                          caplog: pytest.LogCaptureFixture) -> None:
+    seen = scene(crs, place, pixel)
+    for rows in (np.arange(12) < 3, np.arange(12) % 5 == 1):
+        assert said(seen.take(rows), caplog) == ""
+        for pair in ("image", "xy"):
+            text = said(exchanged(seen.take(rows), pair), caplog)
+            assert "exchanges them" in text
 
 
 @pytest.mark.parametrize(("crs", "place", "text"), [

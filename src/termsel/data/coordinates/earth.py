@@ -37,8 +37,7 @@ from termsel.data.record.chances import median_of
 
 log = logging.getLogger(__name__)
 
-_TELLING = 4  # points from which on a mirror image shows, or half as many again lines
-MIRRORED = 3  # points from which on it shows next to other images
+_TELLING = 3  # points from which on a mirror image shows, or half as many again lines
 _UNLIKE = 0.2  # share of the image coordinates' variance that relief and distortion may leave
 _FLAT = 0.05  # ratio of the axes of what a matrix makes of a circle, below which nothing shows
 _NO_DEGREES = 360.0  # beyond which no longitude is
@@ -133,7 +132,7 @@ def _is_mirrored_plane(features: FeatureSet) -> bool:
     """Return whether the image mirrors plane coordinates without a CRS, whose y may point down."""
     if normalise(features.crs) != LOCAL:
         return False
-    turn = _rotation_matrix(features, _TELLING)
+    turn = _rotation_matrix(features)
     return turn is not None and bool(np.linalg.det(turn) < 0)
 
 
@@ -239,7 +238,7 @@ def is_mirrored(features: FeatureSet) -> bool | None:
     not on one line suffice. Images of some kinds are rightly mirrored: callers compare with others
     of the same kind.
     """
-    rotation = _rotation_matrix(features, MIRRORED)
+    rotation = _rotation_matrix(features)
     return None if rotation is None else bool(np.linalg.det(rotation) < 0)
 
 
@@ -257,19 +256,19 @@ def _rotation_to_east_north_up(features: FeatureSet) -> FloatArray | None:
     """
     if kind_of(normalise(features.crs)) not in ("geographic", "projected"):
         return None
-    return _rotation_matrix(features, _TELLING)
+    return _rotation_matrix(features)
 
 
-def _rotation_matrix(features: FeatureSet, fewest: int) -> FloatArray | None:
+def _rotation_matrix(features: FeatureSet) -> FloatArray | None:
     """Return the matrix of `_rotation_to_east_north_up` in any CRS, (2, 2).
 
     It is fitted to points, and to lines in that each vertex on the ground lies on the line in the
-    image. None is returned for fewer than `fewest` features, where three lines count as two points,
-    for features at one place of the image, and if the matrix explains too little.
+    image. Three points give it exactly. None is returned for fewer, where three lines count as two
+    points, for features at one place of the image, and if the matrix explains too little.
     """
     points = features.points
     lines = features.lines
-    if len(points) + len(lines) // 1.5 < fewest:
+    if len(points) + len(lines) // 1.5 < _TELLING:
         return None
     ground = without_jump(features).ground_vertices()[:, :2]
     from_middle = ground - ground.mean(axis=0)
