@@ -135,3 +135,22 @@ def test_the_crs_beside_the_image_is_proposed(tmp_path: Path) -> None:
         pass
     with pytest.raises(TermselError, match=r"beside the image: crs='.*scan\.prj'"):
         termsel.read(tmp_path / "a.csv", image=tmp_path / "scan.tif")
+
+
+@pytest.mark.parametrize(("declared", "x", "y", "stated"), [
+    ("EPSG:32639", 48.0, 34.0, "EPSG:4326"), ("EPSG:4326", 430_000.0, 5_200_000.0, "EPSG:32633")])
+def test_a_crs_that_coordinates_contradict_gives_way_to_the_stated_one(
+        declared: str, x: float, y: float, stated: str, tmp_path: Path,
+        caplog: pytest.LogCaptureFixture) -> None:
+    table = tmp_path / "a.csv"
+    rows = [f"P{i},{10 * i},{7 * i * i},{x + i / 100},{y + i * i / 100}" for i in range(5)]
+    table.write_text("\n".join([f"# crs: {declared}", "id,line,sample,x,y", *rows]))
+    with pytest.raises(termsel.TermselError):
+        termsel.read(table)
+    assert termsel.read(table, crs=stated).crs == stated
+    assert f"declares the CRS {declared}, in which its coordinates are not possible" in caplog.text
+    # One that they do not contradict is no slip.
+    table.write_text("\n".join([f"# crs: {stated}", "id,line,sample,x,y", *rows]))
+    other = "EPSG:32632" if stated == "EPSG:32633" else "EPSG:4258"
+    with pytest.raises(termsel.TermselError, match="declares the CRS"):
+        termsel.read(table, crs=other)

@@ -932,7 +932,8 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
 
     `sets` are the features by their file, and `stated` is what the user says. A .prj file beside a
     table counts where neither says anything. EPSG:4326 and EPSG:4979 agree where only one of them
-    has heights. Raises TermselError where two files, or a file and the user, contradict each other.
+    has heights. What the user says counts where coordinates are not possible in the CRS that their
+    file declares, and a warning says so. Raises TermselError where two files, or a file and the user, contradict each other.
     Where the projection is to be chosen, files that declare none are in degrees.
     """
     if stated == CHOSEN:
@@ -955,6 +956,10 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
             source = str(path)
         elif {declared, agreed} == WGS84 and _may_add_heights(sets.values(), stated):
             agreed = "EPSG:4979"
+        elif declared != agreed and stated and _contradicts_crs(features, declared):
+            log.warning("Warning: %s declares the CRS %s, in which its coordinates are not possible. "
+                        "%s is used.", path, short_crs_name(declared),
+                        Remedy("crs", short_crs_name(stated)))
         elif declared != agreed:
             difference = ("They differ in the heights alone. " if {declared, agreed} == WGS84
                           else "")
@@ -972,6 +977,15 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
                 contradiction.options["--crs"] = declared
             raise contradiction
     return agreed or ""
+
+
+def _contradicts_crs(features: FeatureSet, declared: str) -> bool:
+    """Return whether coordinates are not possible in the CRS that their file declares."""
+    try:
+        check_ground(replace(features, crs=declared))
+    except TermselError:
+        return True
+    return False
 
 
 def _may_add_heights(sets: Iterable[FeatureSet], stated: str | None) -> bool:
