@@ -933,8 +933,9 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
     `sets` are the features by their file, and `stated` is what the user says. A .prj file beside a
     table counts where neither says anything. EPSG:4326 and EPSG:4979 agree where only one of them
     has heights. What the user says counts where coordinates are not possible in the CRS that their
-    file declares, and a warning says so. Raises TermselError where two files, or a file and the user, contradict each other.
-    Where the projection is to be chosen, files that declare none are in degrees.
+    file declares, and a warning says so. Raises TermselError where two files, or a file and the
+    user, contradict each other. Where the projection is to be chosen, files that declare none are
+    in degrees.
     """
     if stated == CHOSEN:
         return _agreed_crs(sets, None) or "EPSG:4326"
@@ -957,8 +958,8 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
         elif {declared, agreed} == WGS84 and _may_add_heights(sets.values(), stated):
             agreed = "EPSG:4979"
         elif declared != agreed and stated and _contradicts_crs(features, declared):
-            log.warning("Warning: %s declares the CRS %s, in which its coordinates are not possible. "
-                        "%s is used.", path, short_crs_name(declared),
+            log.warning("Warning: %s declares the CRS %s, in which its coordinates are not "
+                        "possible. %s is used.", path, short_crs_name(declared),
                         Remedy("crs", short_crs_name(stated)))
         elif declared != agreed:
             difference = ("They differ in the heights alone. " if {declared, agreed} == WGS84
