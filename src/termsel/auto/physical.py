@@ -52,7 +52,7 @@ from termsel.fitting.pinhole import (
     pinhole_near,
     pinhole_of,
 )
-from termsel.fitting.uncertainty import Spread
+from termsel.fitting.uncertainty import Spread, widening_of_projections
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Polynomial
 from termsel.models.projective import Projective
@@ -458,9 +458,10 @@ class PinholeCamera(Estimator):
         """Return the mean square errors of a fit at scaled places (see `Estimator.spread`)."""
         assert isinstance(fitted.model, Projective)
         camera = _camera_of(fitted)
+        widening = widening_of_projections(camera.residuals.size - camera.effective)
         # With factors F of the unknowns' covariance, that of a place is F F'.
-        factors = camera.factors(_with_heights(camera, fitted.model, ground))
-        return Spread((factors**2).sum(axis=2), np.full(2, camera.sigma**2), factors)
+        factors = widening**0.5 * camera.factors(_with_heights(camera, fitted.model, ground))
+        return Spread((factors**2).sum(axis=2), np.full(2, widening * camera.sigma**2), factors)
 
     def view(self, features: FeatureSet, scaling: Scaling) -> CentralView | None:
         """Return the view of scaled features by the camera, or the usual one without a camera."""

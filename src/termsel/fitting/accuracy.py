@@ -35,7 +35,7 @@ from termsel.data.record.figures import (
 from termsel.fitting.fit import Fit
 from termsel.fitting.next_places import share_left
 from termsel.fitting.residuals import freedom_of
-from termsel.fitting.uncertainty import Experience, shared_variance
+from termsel.fitting.uncertainty import Experience, shared_variance, widening_of_projections
 
 # The test of normality by Shapiro and Wilk: that of SciPy takes half a second to import.
 #
@@ -268,6 +268,9 @@ def _errors_with_all_points(fitted: Fit, errors: FloatArray) -> FloatArray:
     measurement at its place by all of them with s^2 (1 + h). These are alike where h is small; but
     a projection of five or six points is hardly determined without one of them.
 
+    How much smaller is not known better than the noise is (see `widening_of_projections`), and
+    errors are no larger than those held out.
+
     That holds where noise is all that the model leaves. What a polynomial does not fit of a view,
     as of a camera that turns while it scans, is no noise: its held-out errors stand.
     """
@@ -285,7 +288,9 @@ def _errors_with_all_points(fitted: Fit, errors: FloatArray) -> FloatArray:
     # Leverages add up to the number of parameters. Where these have a larger sum, the spread has
     # what the model does not fit as well, as of relief under a projection without heights.
     leverage = leverage * min(1.0, fitted.effective / float(leverage.sum()))
-    return np.asarray(errors * np.sqrt(1.0 - np.minimum(leverage, MAX_LEVERAGE)**2))
+    widening = widening_of_projections(2 * len(errors) - fitted.effective)
+    squares = widening * (1.0 - np.minimum(leverage, MAX_LEVERAGE)**2)
+    return np.asarray(errors * np.sqrt(np.minimum(squares, 1.0)))
 
 
 def _predict_with_experience(fitted: Fit, errors: FloatArray, points: int,
