@@ -35,6 +35,7 @@ import numpy as np
 
 from termsel.adjustment.bayesian.field import GaussianProcess
 from termsel.adjustment.bayesian.held_out import chance_of
+from termsel.adjustment.bayesian.plane_average import PlaneAverage
 from termsel.auto.auto import Auto
 from termsel.auto.contradictions import (
     DOUBTFUL_STRAIN,
@@ -432,7 +433,7 @@ def _points_a_model_explains(control: FitData, auto: Auto, suspected: BoolArray)
 def _is_parametric(fitted: Fit) -> bool:
     """Return whether a fit is by another model than the polynomials and fields of the tests."""
     return not (isinstance(fitted.estimator, Averaging)
-                or isinstance(fitted.interpolation, GaussianProcess))
+                or isinstance(fitted.interpolation, GaussianProcess | PlaneAverage))
 
 
 def _features_predicted_by(chosen: Fit, features: FeatureSet) -> BoolArray:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from termsel.adjustment.bayesian.field import GaussianProcess
+from termsel.adjustment.bayesian.plane_average import PlaneAverage
 from termsel.auto.physical import (
     PHOTO_MAX_POINTS,
     PHYSICAL_MAX_CHOSEN,
@@ -183,6 +184,9 @@ class _WithField(Structure):
     def describe(self, fitted: Fit) -> str:
         """Return a sentence on the probability of local deformation, and the least it must have."""
         process = fitted.interpolation
+        if isinstance(process, PlaneAverage):
+            return ("So few points cannot decide between a similarity, an affine image, "
+                    f"polynomials and a spline. {self.label} stands for their average.")
         assert isinstance(process, GaussianProcess)
         if process.spline_weight > 0.0 and process.probability <= FIELD_CALLED_FOR:
             return ("So few points cannot decide between polynomials, local deformation, a spline "
@@ -222,6 +226,7 @@ def _polynomials(degree: int) -> tuple[SensorModel, SensorModel]:
 
 
 _LIMITS = ("affine", "quadratic", "cubic")
+_SIMILARITIES = ("similarity", "mirrored-similarity")
 _SHRUNKEN = ("regularised-quadratic", "regularised-cubic")
 _FAMILY = "the regularised polynomials"
 
@@ -263,7 +268,7 @@ METHODS: tuple[Structure, ...] = (
               family=_FAMILY),
     _WithField("field", "a cubic polynomial with local deformation", Field3D(), Field(),
                estimator=Interpolated(), short="cubic, local deformation", has_prior=True,
-               contains=(*_LIMITS, *_SHRUNKEN), family=_FAMILY),
+               contains=(*_SIMILARITIES, *_LIMITS, *_SHRUNKEN), family=_FAMILY),
     Structure("tps", "a thin-plate spline", None, ThinPlate(), estimator=Interpolated(),
               short="thin-plate spline", needs=("field",)),
     _WithPhysics("physical-cubic",

@@ -12,7 +12,7 @@ from math import erf, sqrt
 
 import numpy as np
 
-from termsel.adjustment.bayesian.field import SPLINE_MAX_POINTS
+from termsel.adjustment.bayesian.field import SPLINE_MAX_POINTS, SPLINE_SURE_POINTS
 from termsel.adjustment.equations import weights_of
 from termsel.core.errors import percent_text, rounded_size_text
 from termsel.data.coordinates.clusters import cluster_labels
@@ -254,16 +254,16 @@ SUPPORTED_MIN_FEATURES = 12
 held-out RMSE is smaller by a quarter, and the errors are so many: what a polynomial misses at a few
 points of the edge hardly counts in logarithms."""
 
+FEWER_UNKNOWNS_RMSE_RATIO = 0.5
+"""Of few points in a plane a projection with fewer unknowns than the base has in effect need not be
+better by standard errors, which so few hardly show, where its held-out RMSE is half as large."""
+
 CHANCE_OF_SIMILARITY = 0.05
 """Chance with which points of a similarity make a central projection fit as well, above which it is
 not taken: the usual level of significance (Fisher 1925)."""
 
 UNKNOWNS_OF_AFFINE = 6
 """Of an affine image of a plane."""
-
-SIMPLER_RMSE_RATIO = 0.9
-"""Held-out RMSE of a similarity by that of the average of few points, below which it is taken: the
-best of several is so partly by luck."""
 
 FEWEST_EQUATIONS_OF_CAMERA = 2
 """Equations that a central projection must leave to be held against a method that knows more."""
@@ -336,9 +336,8 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
     `fit_to_beat`). Any method that no prior contains must be better than that by
     so many standard errors: CLEAR_MARGIN; for a central projection PROJECTION_MARGIN, or
     PRIOR_MARGIN where the points support an oblique or near camera. A supported projection may
-    instead have a far smaller RMSE (see `is_supported_and_smaller`), and a similarity of few points
-    in a plane smaller errors (see `is_simpler_and_smaller`). A projection that fits few points
-    better than a similarity by chance alone is left out (see `chance_of_similarity`). Of the
+    instead have a far smaller RMSE (see `is_supported_and_smaller`). A projection that fits few
+    points better than a similarity by chance alone is left out (see `chance_of_similarity`). Of the
     methods that are so much better, and the fit to beat, the one with the smallest RMSE is chosen.
 
     The choice has its reason only where it is to be `explained`.
@@ -355,8 +354,7 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
     rivals = [base]
     for alternative in alternatives.copy():
         is_clearly_better = gain(alternative, base) > required_gain(alternative, base)
-        if not (is_clearly_better or is_supported_and_smaller(alternative, base)
-                or is_simpler_and_smaller(alternative, base)):
+        if not (is_clearly_better or is_supported_and_smaller(alternative, base)):
             continue
         # Five points let a camera fit well by chance, though the truth is a similarity.
         chance = chance_of_similarity(alternative, compared)
@@ -460,10 +458,23 @@ def is_supported_and_smaller(fitted: Fit, base: Fit) -> bool:
     A few large errors at the edge count in it; logarithms, by which methods are compared otherwise,
     hardly show them.
     """
-    return (method_of(fitted).central and fitted.view is not None
-            and len(fitted.held_out().squares) >= SUPPORTED_MIN_FEATURES
-            and gain(fitted, base) > 0.0
-            and beyond_rounding(fitted) < SUPPORTED_RMSE_RATIO * beyond_rounding(base))
+    limit = supported_rmse_ratio(fitted, base) * beyond_rounding(base)
+    return gain(fitted, base) > 0.0 and beyond_rounding(fitted) < limit
+
+
+def supported_rmse_ratio(fitted: Fit, base: Fit) -> float:
+    """Return below which part of the base's RMSE a central projection is taken without a margin.
+
+    It is 0 for other methods, and for projections that must have the margin.
+    """
+    if not method_of(fitted).central:
+        return 0.0
+    count = len(fitted.held_out().squares)
+    if fitted.view is not None and count >= SUPPORTED_MIN_FEATURES:
+        return SUPPORTED_RMSE_RATIO
+    # Of an average that spends more unknowns, larger errors are no sign that these are needed.
+    is_simpler = not fitted.model.uses_height and fitted.effective < base.effective
+    return FEWER_UNKNOWNS_RMSE_RATIO if is_simpler and count <= SPLINE_SURE_POINTS else 0.0
 
 
 def chance_of_similarity(fitted: Fit, compared: Iterable[Fit]) -> float:
@@ -509,26 +520,9 @@ def _squares_left(fitted: Fit) -> float:
 def is_undecided(data: FitData) -> bool:
     """Return whether points in a plane are so few that the method with a prior is an average.
 
-    It is an average of polynomials, fields, a spline and an affine image, between which so few
-    points do not decide.
+    So few points do not decide between what it averages, such as a similarity and a spline.
     """
     return not data.heights and not len(data.features.lines) and len(data) < SPLINE_MAX_POINTS
-
-
-def is_simpler_and_smaller(fitted: Fit, base: Fit) -> bool:
-    """Return whether a plane similarity has smaller errors than the average of few points.
-
-    Few points in a plane do not show standard errors, and the base averages the models that they do
-    not decide between, the affine image being the simplest. A similarity has fewer unknowns than
-    any of these: if it is better, it is not for following the points more closely. So it is taken
-    where its errors are smaller in logarithms, and its RMSE is below SIMPLER_RMSE_RATIO of the
-    base's. A base whose geometry is known beforehand, as that of a camera, is no such average.
-    """
-    return (method_of(fitted).is_plain and fitted.effective < UNKNOWNS_OF_AFFINE
-            and not method_of(base).from_one
-            and len(base.held_out().squares) < SPLINE_MAX_POINTS
-            and gain(fitted, base) > 0.0
-            and beyond_rounding(fitted) < SIMPLER_RMSE_RATIO * beyond_rounding(base))
 
 
 def _equally_sure_margin(base: Fit) -> float:
@@ -589,16 +583,11 @@ def _sentence_on_rival(rival: Fit, base: Fit, *, is_chosen: bool) -> str:
                 "make its RMSE the larger one.")
     if advantage > margin or not is_chosen:
         return _comparison_sentence(rival, base, margin)
-    # Chosen without the margin: for its view, or as the simplest of models for few points.
-    smaller_by = f"{1.0 - beyond_rounding(rival) / beyond_rounding(base):.0%} smaller"
-    label = method_of(rival).label
-    if method_of(rival).central:
-        return (f"The points show a central projection, so {label} needs only an RMSE that is "
-                f"{1.0 - SUPPORTED_RMSE_RATIO:.0%} smaller than that of {method_of(base).label}: "
-                f"it is {smaller_by}.")
-    return (f"So few points hardly show {_UNCERTAINTY}. {label} has the fewest unknowns, so it "
-            f"needs only an RMSE that is {1.0 - SIMPLER_RMSE_RATIO:.0%} smaller than that of "
-            f"{method_of(base).label}: it is {smaller_by}.")
+    # Chosen without the margin, for its view.
+    smaller_by = 1.0 - beyond_rounding(rival) / beyond_rounding(base)
+    return (f"The points show a central projection, so {method_of(rival).label} needs only an RMSE "
+            f"that is {1.0 - supported_rmse_ratio(rival, base):.0%} smaller than that of "
+            f"{method_of(base).label}: it is {smaller_by:.0%} smaller.")
 
 
 def _comparison_sentence(rival: Fit, base: Fit, margin: float) -> str:

@@ -26,6 +26,7 @@ from math import erfc
 import numpy as np
 
 from termsel.adjustment.bayesian.field import GaussianProcess
+from termsel.adjustment.bayesian.plane_average import PlaneAverage
 from termsel.adjustment.bayesian.posterior import Posterior, polynomial_posterior, predict_positions
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.solve import Adjustment
@@ -275,18 +276,19 @@ def shared_variance(model: SensorModel, control: FeatureSet) -> float | None:
         return None
     points = control.points
     local = model.interpolation(control)
-    held_out = (local if isinstance(local, GaussianProcess) else belief.posterior).held_out
+    averaged = local if isinstance(local, GaussianProcess | PlaneAverage) else belief.posterior
+    held_out_spread = averaged.held_out.spread
     weights = weights_of(points)
     # The sum of squares of normal errors with the covariance C has the mean tr C and the variance
     # 2 tr C^2. What places have in common, those of the control points, the posterior sees.
     factors = belief.spread(points.ground, points.image).factors
     assert factors is not None
     # A point that is left out is less certain, and correlated with the others about as much.
-    enlargement = (np.sqrt((held_out.spread - 1.0) / weights**2)
+    enlargement = (np.sqrt((held_out_spread - 1.0) / weights**2)
                    / np.maximum(np.linalg.norm(factors, axis=2), np.finfo(float).tiny))
     enlarged = (factors * enlargement[..., None]).reshape(-1, factors.shape[2])
     trace_of_square = ((enlarged.T @ enlarged) ** 2).sum()
-    trace = (held_out.spread / weights**2).sum()
+    trace = (held_out_spread / weights**2).sum()
     # To this comes how much the mean squares of its solutions differ.
     return 2 * float(trace_of_square / trace**2) + belief.contest(weights)
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import PurePath
 from shlex import quote
 
-from termsel.adjustment.bayesian.field import SPLINE_MAX_POINTS
+from termsel.adjustment.bayesian.field import SPLINE_MAX_POINTS, SPLINE_SURE_POINTS
 from termsel.auto.methods import BY_NAME
 from termsel.core.errors import (
     amount_in_words,
@@ -234,6 +234,8 @@ def model_title(record: Record) -> str:
     if shift := _shift_in_words(record):
         return f"vendor RPC {shift}"
     # So few points in a plane decide nothing: what is called a cubic polynomial is mostly affine.
+    if record.model == "field" and record.selection.n_features <= SPLINE_SURE_POINTS:
+        return "average of a similarity, polynomials and a spline"
     if record.model == "field" and record.selection.n_features < SPLINE_MAX_POINTS:
         return "average of polynomials, a spline and local deformation"
     if strategy.chosen == record.model and len(strategy.candidates) <= 1:

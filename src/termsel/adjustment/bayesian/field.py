@@ -15,7 +15,8 @@ local deformation the regularised polynomial remains.
 In a plane, few points do not distinguish lengths from noise. There a thin-plate spline, a field
 without lengths and next to affine functions alone, is a third course, and an affine image a fourth,
 all as likely beforehand. From SPLINE_SURE_POINTS to SPLINE_MAX_POINTS this fades: a fold
-is judged as they are.
+is judged as they are. Up to SPLINE_SURE_POINTS only blunders are sought so: positions are computed
+by `termsel.adjustment.bayesian.plane_average`.
 
 With many points the field is spanned by the covariances with FIELD_KNOTS of them.
 
