@@ -109,8 +109,8 @@ def _proven_lines(content: Any) -> tuple[list[str], int]:
 
     The certificate says of which data it is, what its selection scores on each axis and which parts
     of the tree of selections are excluded, and why; all of it is computed again here in whole
-    numbers and fractions, by no code of the search. Raises Refused for a certificate that has been
-    changed, or that does not prove its claim.
+    numbers and fractions, by no code of the search. `content` loses its checksum. Raises Refused
+    for a certificate that has been changed, or that does not prove its claim.
     """
     stated = content.pop("sha256")
     if content["schema"] != CERTIFICATE_SCHEMA:

@@ -182,7 +182,9 @@ def _study_asked_for(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[
                                                                                 dict[str, Any]]:
     """Return the study file and {}, or None and the keys of a study that the options stand for.
 
-    Raises TermselError if both or neither are given, and for several study files.
+    With points all `files` are further files of points. Raises TermselError if both or neither of a
+    study file and options are given, for several study files, and for further files of points next
+    to lines.
     """
     keys = _keys_of(options)
     points = options["points"]
@@ -314,15 +316,15 @@ def _list_files(study: Path | None, keys: dict[str, Any]) -> None:
 def _show_plan(study: Path | None, keys: dict[str, Any], workers: int) -> None:
     """Print the files and the kinds of cells of a study, with the time that all cells take.
 
-    Nothing is run but one cell of each kind, for its time. The study is that of the file `study`,
-    or of the `keys` of the options. The time is for `workers` processes on a machine as busy as
-    now, and where that is very busy, also on an idle one.
+    Nothing is run but up to four cells of each kind, for their times. The study is that of the
+    file `study`, or of the `keys` of the options. The time is for `workers` processes on a machine
+    as busy as now, and where that is very busy, also on an idle one.
     """
     from termsel.studies.compare import estimate
     from termsel.studies.execution.progress import duration_in_words
 
     _list_files(study, keys)
-    # All cells of a kind are taken to last as long as the one that was run.
+    # `seconds` is the mean time of all cells of a kind, by those that were run.
     total_seconds = 0.0
     loading_seconds = 0.0
     cells = 0

@@ -289,8 +289,9 @@ def _model_in_words(record: Record) -> str:
     """Return the model, and how it was chosen or selected.
 
     For the automatic choice the text says among how many methods, and whether the chosen one is the
-    best of them; for a search, how many of the terms and features on offer are selected, and by
-    which solver, or over how many selections the terms are stable.
+    best of them, if more than one was held out; and why an RPC is used or not. For a search it says
+    how many of the terms and features on offer are selected, and by which solver unless all are, or
+    over how many selections the terms are stable.
     """
     title = model_title(record)
     strategy = record.strategy
@@ -361,8 +362,9 @@ def share_in_words(selected: int, offered: int) -> str:
 def outlier_lines(record: Record) -> list[str]:
     """Return the worst outliers of each kind: rejected, in use, and independent check points.
 
-    Each line names the worst few with their errors. Where no feature contradicts the others, the
-    only line says so, and why this may mean little; points of a lattice are never tested.
+    Each line names the worst few with their errors. Where no feature contradicts the others, or
+    nothing fits and independent points alone stand out, the only line says so, and why this may
+    mean little; points of a lattice are never tested.
     """
     # An outlier that is in use weakens the model, one that was rejected does not.
     rejected, used, independent = groups = _group_outliers(record)
@@ -420,11 +422,12 @@ def _count_in_words(outliers: Sequence[Outlier]) -> str:
 
 
 def _no_outlier_clause(record: Record) -> str:
-    """Return a clause that no outlier was detected, and why this may say little.
+    """Return a clause that no outlier was detected, or not tested for, and why this may say little.
 
-    A test that finds nothing may be blind: of few points each is fitted exactly, and where nothing
-    fits no point stands out. The clause says so, or the size of an error that would have been
-    found, where that is large against the image.
+    Independent points may contradict the prediction all the same. A test that finds nothing may be
+    blind: of few points each is fitted exactly, and where nothing fits no point stands out. The
+    clause says so, or the size of an error that would have been found, where that is large against
+    the image.
     """
     test = record.blunder_test
     accuracy = record.accuracy
@@ -497,7 +500,8 @@ def _comparison_with_rival(record: Record, rival: BaselineRow) -> Iterator[str]:
     Many independent points compare both models best. Few are a matter of chance, so that the errors
     in cross-validation count. A search is held against the automatic choice, the choice against its
     best rival, and the sentence ends with what to do. Nothing is yielded where the RMSE of either
-    is not known. A corrected RPC is also compared with the RPC as it was delivered.
+    is not known. A corrected RPC is also compared with the RPC as it was delivered, and with that
+    alone if its rival is another correction or nothing was held out.
     """
     strategy = record.strategy
     by_held_out = strategy is not None and not _points_compare_better(record)

@@ -96,9 +96,9 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
     """Return the fit that a record describes, of the features in use among the control.
 
     Coefficients and figures are those of the record; only the correlations of least squares are
-    computed again. `used` (n,) are the control features in use, `deviations` the standard
-    deviations of the coefficients, `how` the estimator, its trace and its held-out errors. The
-    estimator of a plugin's method, `by_plugin`, is taken if the record names it. Raises
+    computed again. `used` (n,) is a mask of the control features in use, `deviations` are the
+    standard deviations of the coefficients, `how` the estimator, its trace and its held-out errors.
+    The estimator of a plugin's method, `by_plugin`, is taken if the record names it. Raises
     TermselError for a name that no estimator has, and for held-out errors that are more or fewer
     than those of the features in use.
     """

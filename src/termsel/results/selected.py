@@ -200,7 +200,8 @@ def _certificate_sentence(certificate: Certificate, exact: str) -> str:
 def _front_and_proofs(record: Record, view: View | None, picture: str) -> Iterator[Block]:
     """Yield the front, or the best so far of each size, and proofs of their members.
 
-    Nothing is yielded for a record that has neither.
+    There are charts, with the `picture` of the image below residuals, if a view is given. Nothing
+    is yielded for a record that has neither.
     """
     front = record.front
     by_size = record.by_size

@@ -60,10 +60,11 @@ def _blocks_shown(blocks: Iterable[Block], with_details: bool) -> Iterator[Block
 
 
 def _lines_of_blocks(blocks: Iterable[Block], *, all_rows: bool = False) -> Iterator[str]:
-    """Yield the lines of blocks, with an empty one around each table.
+    """Yield the lines of blocks, with an empty one around each table and each piece of code.
 
-    With `all_rows` tables are not cut. A fact has its label in a column of its own; notes, names
-    and statements are wrapped to the width of a terminal.
+    With `all_rows` tables are not cut. A fact has its label in a column of its own; all but code
+    and tables is wrapped to the width of a terminal. What is for a page alone, such as a chart, is
+    left out.
     """
     after_table = False
     for i, block in enumerate(blocks):

@@ -47,8 +47,9 @@ def verdict_on_choice(own_rmse: float, rival_rmse: float, rival: str,
 
     `gains` says of all models that it was chosen among how much better than it they predict
     left-out points, each by the standard error of the difference. The RMSE are those of left-out
-    points, too, or `at_points` those of independent ones, which had no say in the choice. The first
-    screen and the summary say it with the same figures and in the same words.
+    points, too, or `at_points` those of independent ones, which had no say in the choice. Of a
+    rival that is better by more than chance the option that takes it is named. The first screen and
+    the summary say it with the same figures and in the same words.
     """
     if are_alike(own_rmse, rival_rmse):
         return "no practical difference"
@@ -238,10 +239,11 @@ def _none_detected_in_words(test: BlunderTest | None, errors: float) -> str:
 
 
 def verdict_table(record: Record) -> Iterator[Block]:
-    """Yield all features that contradict the others, and those that were not needed.
+    """Yield all features that contradict the others, and how many a search did not need.
 
-    Sentences after the table say what to do: leave them out, with the option to type, or compare
-    the table with the map where so many contradict the others that rows seem to be shifted.
+    Without any, a sentence says why none was found. Sentences after the table say what to do: leave
+    them out, with the option to type, or compare the table with the map where so many contradict
+    the others that rows seem to be shifted.
     """
     outliers = record.outliers
     if outliers:

@@ -73,11 +73,11 @@ def compare(
         Called with `StudyProgress` when the study begins and after every cell. In a notebook one
         more shows the progress.
     **keys
-        Keys of a study file, in place of `study` or of what it says: problems, models, solvers,
-        criteria, strategies, data, seeds, splits, budget, options, exports, measure, measures,
-        title. Problems, models, solvers and criteria may be objects, as in `run`; data may be a
-        mapping of feature sets by name. With files of points also crs, dem and columns, which are
-        those of `read`.
+        Keys of a study, without `study` or in place of those of a mapping: problems, models,
+        solvers, criteria, methods, strategies, data, seeds, splits, budget, options, exports,
+        measure, measures, accept, title. Problems, models, solvers, criteria and methods may be
+        objects, as in `run`; data may be a mapping of feature sets by name. With files of points
+        also crs, dem and columns, which are those of `read`.
 
     Returns
     -------
@@ -87,8 +87,8 @@ def compare(
     Raises
     ------
     TermselError
-        Before anything is run, for a study that cannot be; or if `out` cannot be written or
-        another process is at work there.
+        Before anything is run, for a study that cannot be, and for keys next to a study file; or
+        if `out` cannot be written or another process is at work there.
 
     Examples
     --------
@@ -241,9 +241,10 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None,
     """Yield how long the cells of each kind take, and why some of them failed, if any did.
 
     Arguments as for `compare`. Cells with the fewest, middling and most features are run, and the
-    time of the others is interpolated. The first also loads what its kind needs: another takes its
-    place, unless it takes `LONG_CELL_SECONDS`. A cell is ended after `PROBE_SECONDS`, which then is
-    the least that it takes, and the reason says so.
+    time of the others is interpolated; it is None where none of them can be run. The first also
+    loads what its kind needs: another takes its place, unless it takes `LONG_CELL_SECONDS` and
+    compiled nothing. A cell is ended after `PROBE_SECONDS`, which then is the least that it takes,
+    and the reason says so.
     """
     spec, folder = requested_study(study, keys)
     # Before anything is run: the first cell would otherwise count the compilation.

@@ -222,12 +222,13 @@ class Maps:
 
 
 def open_maps(names: Sequence[str], crs: str | None, remote: bool) -> Maps:
-    """Return all maps that are named, open, in the CRS of the first one that has one.
+    """Return all maps that are named, open and shown in one CRS.
 
-    With tiles, this is web Mercator; if no map has a CRS, it is `crs`, or "local". Names are files,
-    addresses of tiles, and, if `remote`, files on servers. A layer that does not overlap the first
-    one is noted in the maps. Raises TermselError for a file that
-    cannot be read, is not georeferenced, or has no CRS while `crs` is None.
+    With tiles, this is web Mercator; else it is that of the first raster, or of the first layer of
+    vectors if there is none, or `crs`, or "local". Names are files, addresses of tiles, and, if
+    `remote`, files on servers. A layer that does not overlap the first one is noted in the maps.
+    Raises TermselError for a file that cannot be read, is not georeferenced, or has no CRS while
+    `crs` is None; the maps that are open by then are closed.
     """
     rasters = []
     try:

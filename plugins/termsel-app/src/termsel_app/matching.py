@@ -197,7 +197,8 @@ def propose_points(session: Session) -> list[dict[str, Any]]:
     Each has its place in the "image" and on the "map", and a "score". They are spread over the
     image, one in each cell, and agree with the model within `MAX_SIGMAS`; the user decides which
     are right. Control and all candidates are written into the session's folder, where the command
-    match-points runs. Raises TermselError without a model, or if matching fails.
+    match-points runs. Raises TermselError without what `require_model` asks for, or if matching
+    fails.
     """
     prediction = require_model(session)
     # Matching starts from the points there are, and searches near where they put a place.

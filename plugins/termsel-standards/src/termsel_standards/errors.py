@@ -72,7 +72,6 @@ def errors_of(result: Result) -> GroundErrors:
     Their positions are computed from the image at their surveyed heights, as a map has them, or at
     0 if the model uses no heights and they are not known.
 
-
     Parameters
     ----------
     result : Result
@@ -85,8 +84,8 @@ def errors_of(result: Result) -> GroundErrors:
     Raises
     ------
     TermselError
-        If there are no independent points, if the fit has used them, or if their errors are not
-        known in metres.
+        If there are no independent points, if the fit has used them, if the model gives one of them
+        no ground position, or if their errors are not known in metres.
 
     Examples
     --------

@@ -87,7 +87,8 @@ def write_sigma(
     like_map : path-like, optional
         A map whose extent and CRS the raster has, instead of bounds and CRS.
     bounds : sequence of float, optional
-        West, south, east and north in the CRS of the raster; by default those of the image.
+        West, south, east and north in the CRS of the raster; by default those of what the image
+        shows. Without effect with `like_map`.
     resolution : float, optional
         Size of a pixel [units of the CRS]; by default such that the longer side has about 500.
     crs : str, optional
@@ -108,13 +109,15 @@ def write_sigma(
     Returns
     -------
     float
-        Largest relative error of the interpolation at the places where it was tested.
+        Largest relative error of the interpolation at the places where it was tested. It is logged
+        with the size of the raster, and as a note if it is above `TOLERANCE`.
 
     Raises
     ------
     TermselError
-        If a file cannot be read or written, if the extent is none, or if the uncertainty is known
-        nowhere on it.
+        If a file cannot be read or written, if height, resolution or extent are none, if the raster
+        would be too large, or if the map has no heights, is far outside the control, or the
+        uncertainty is known nowhere on it.
 
     Examples
     --------
@@ -170,11 +173,12 @@ def write_sigma(
 def _choose_grid(result: Result, like_map: Path | str | None, bounds: Sequence[float] | None,
                  resolution: float | None, crs: str | None,
                  heights: tuple[Path | str | None, float]) -> MapGrid:
-    """Return the pixels of the raster: those of a map, or within bounds, or within the image.
+    """Return the pixels of the raster: all over a map, or within bounds, or within the image.
 
-    Without a resolution, the longer side has about `_USUAL_SIDE` pixels. `heights` are the raster
-    of heights or None, and the height used without one. Raises TermselError for a resolution that
-    is not above 0, a map without a CRS or with a turn, bounds without an area, and too many pixels.
+    A map gives its extent and CRS alone. Without a resolution, the longer side has about
+    `_USUAL_SIDE` pixels. `heights` are the raster of heights or None, and the height used without
+    one. Raises TermselError for a resolution that is not above 0, a map without a CRS or with a
+    turn, bounds without an area, and too many pixels.
     """
     from affine import Affine
 
@@ -239,8 +243,8 @@ class _Nodes:
     def of(cls, result: Result, grid: MapGrid, surface: Any) -> _Nodes:
         """Return nodes so close that interpolation is within `TOLERANCE`, or the closest allowed.
 
-        Raises TermselError if no place of the map has a height, all are far outside the control, or
-        the uncertainty is known at none of them.
+        The interpolation is tested at `_N_TESTED` places of the map. Raises TermselError if none of
+        these has a height, all are far outside the control, or the uncertainty is known at none.
         """
         from scipy.ndimage import spline_filter
 

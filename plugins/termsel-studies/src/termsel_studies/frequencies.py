@@ -143,7 +143,10 @@ def selection_frequencies(
     Raises
     ------
     TermselError
-        If the problem selects features or values of options, or control and check are too few.
+        If repetitions or threshold say nothing, if the problem selects features or values of
+        options, or if control and selection points are too few.
+    KeyboardInterrupt
+        When interrupted before two repetitions are complete.
 
     References
     ----------

@@ -408,8 +408,9 @@ def _page_error(path: Path, is_report: bool) -> TermselError:
 def _two_of_one_kind_error(kind: str, first: Path, second: Path) -> TermselError:
     """Return the error for two files of one kind.
 
-    Its remedy is for a likely reason: a folder, a file given twice, an id that was taken for a
-    file, or points of several images.
+    Its remedy is for a likely reason: a folder, a file given twice, a name with a blank that was
+    not quoted, an id that was taken for a file, or points of several images. Else it is to name
+    what each file is.
     """
     for path in (first, second):
         if path.is_dir():

@@ -29,9 +29,9 @@ def descend_through_subsets(systems: ScoreSystems) -> Iterator[tuple[FloatArray,
     """Yield scores and masks, (k + 1,), of ever better subsets of every size.
 
     Descents add, drop and swap columns. They begin with no column, with random subsets, and then
-    with the best of every size after some random swaps. They end when swapping has not helped the
-    size for a while, or when they have cost as much as the proof without them. All of it is the
-    same on every machine.
+    with the best of every size after some random swaps, except for the score rss. They end when
+    swapping has helped no size for a while, or when they have cost as much as the proof without
+    them. All of it is the same on every machine.
     """
     candidates = systems.everything.candidates
     room = systems.everything.room

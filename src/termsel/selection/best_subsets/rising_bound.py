@@ -38,9 +38,11 @@ def raise_bound(systems: ScoreSystems, best: FloatArray, masks: Masks, node_subs
                 workers: int) -> Iterator[tuple[FloatArray, Masks, float]]:
     """Yield the best subsets so far, with a score below which no other subset is.
 
-    The score rises from step to step. `best` and `masks` (k + 1,) are the least score of each size
-    so far and its subset, and are yielded as they become better. A node of at most `node_subsets`
-    is walked, any other one is divided. Workers are threads; the result does not depend on them.
+    The score rises from rung to rung, each a share of the best score that is known before it, as
+    long as it rises. Nothing is yielded where no bound cuts branches, for a large tree, and without
+    a score to begin with. `best` and `masks` (k + 1,) are the least score of each size so far and
+    its subset, and are yielded as they become better. A node of at most `node_subsets` is walked,
+    any other one is divided. Workers are threads; the result does not depend on them.
     """
     lower_bound = 0.0
     root = systems.everything

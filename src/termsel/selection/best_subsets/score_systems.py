@@ -180,7 +180,8 @@ class ScoreSystems:
         `best` (s,) are the least scores so far of each size, `masks` their subsets, both copied.
         Which kernel walks the subtree depends on the criterion and on whether branches may be cut
         by bounds. Returns the scores and masks after it, and how many subsets were excluded without
-        being fitted.
+        being fitted. If the columns in use depend on each other, no subset has a score: they are
+        those given, and the number is 0.
         """
         if self.kind == RSS and self.branches and node.count > _ENUMERATED:
             return self._walk_residuals(node, best.copy(), masks.copy())
@@ -423,7 +424,8 @@ def score_systems(system: SubsetSystem, score: str, folds: Sequence[IntArray],
     `score` is one of SCORES, such as "press". `folds` are the indices of the rows that "kfold"
     holds out together. `max_terms` is the most columns in use, None for all. Raises TermselError
     for an unknown score, where terms are both forced and forbidden, and where more are forced than
-    `max_terms`.
+    `max_terms`; ValueError for the score check without rows of selection points, and for kfold
+    without folds.
     """
     if score not in SCORES:
         raise unknown_name_error("score", score, SCORES)

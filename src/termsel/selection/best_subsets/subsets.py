@@ -104,14 +104,15 @@ def search(
     than all smaller sizes, the optimum included. Of other sizes it proves that they have not: their
     best may stay unknown.
 
-    Yielded is the state after each node of about 65,000 subsets; the last one is complete. To stop
-    early close the iterator, or let KeyboardInterrupt pass: the last state holds. Workers are
-    threads; neither the result depends on them, nor the memory on the number of subsets.
+    Yielded is the state after each node; the last one is complete. To stop early close the
+    iterator, or let KeyboardInterrupt pass: the last state holds. Workers are threads; neither the
+    result depends on them, nor the memory on the number of subsets.
 
     A subset is infeasible if one of its columns keeps no more than `solve.TOLERANCE` of its length
     orthogonal to the columns of the subset before it. `solve` pivots instead; they differ at most
     if a column is within a small factor of the tolerance. Raises TermselError for an unknown score,
-    or more forced columns than `max_terms`; ValueError for a score whose rows the system lacks.
+    columns both forced and forbidden, or more forced columns than `max_terms`; ValueError for a
+    score whose rows the system lacks. That code is compiled first is logged.
     """
     systems = score_systems(system, score, folds, max_terms)
     if systems.needs_compilation:

@@ -29,8 +29,9 @@ def refine(ledger: Ledger, rng: np.random.Generator, generation: Generation | No
 
     `generation` is the last that the solver yielded, `evaluations` the budget of search and
     refinement together. Without one the refinement takes up to POLISH_SHARE times as many as the
-    search; its first descent may take more, up to DESCENT. Refuses a solver that found
-    coefficients, which a changed selection would not fit. An observer may end it.
+    search; its first descent may take more, up to DESCENT. An observer may end it. The ledger keeps
+    the best that is found, and the limit and callback set here. Raises TermselError after a solver
+    that found coefficients, which a changed selection would not fit.
     """
     assert ledger.best_genes is not None
     if generation is not None and "coefficients" in generation.details:

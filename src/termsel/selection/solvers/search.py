@@ -168,9 +168,9 @@ def search(
     seed : int
         Seed of the one random generator of the search.
     generations, evaluations : int, optional
-        Budgets; the search ends when the first is spent. Without any, a solver that does not end
-        by itself has 16,040 evaluations. A local refinement takes part of `evaluations`, or up to
-        three times as many as the search before it.
+        Budgets; the search ends when the first is spent. Without these, seconds and patience, a
+        solver that does not end by itself has 16,040 evaluations. A local refinement takes part of
+        `evaluations`, or up to three times as many as the search before it.
     seconds : float, optional
         Budget of time; the current evaluation is finished.
     patience : int, optional
@@ -179,25 +179,31 @@ def search(
         Gains of an objective that are smaller do not count; relative to it.
     polish : bool
         Whether a local refinement follows: genes are added, dropped and swapped as long as that
-        helps, from many starts.
+        helps, from many starts. It is left out if an observer ended the search.
     observers : iterable of callable
         Called with `Progress` after each generation, and in the local refinement; in another thread
         while a solver of a plugin yields nothing for 10 s. One that returns True, or raises
         StopIteration, ends the search; its result is kept.
     checkpoint : path-like, optional
-        File with all that was evaluated. If it is there, the search goes on from it, to the end
-        that it would have reached without a stop. A budget of time counts all processes.
+        File with all that was evaluated, written as the search goes on. If it is there, the search
+        goes on from it, to the end that it would have reached without a stop. A budget of time
+        counts all processes.
 
     Returns
     -------
-    Search
-        Also when interrupted with Ctrl-C, if anything was evaluated.
+    SearchResult
+        Also when interrupted with Ctrl-C, if anything was evaluated. Its notes say if an observer
+        ended the search, or a solver that evaluated nothing for many generations.
 
     Raises
     ------
     TermselError
-        For a budget that is no positive, or no whole, number; a solver that cannot handle the
-        objectives; or a checkpoint of another search.
+        For a budget that is no positive, or no whole, number, or what is no seed; a solver that
+        cannot handle the objectives or the genes, evaluates nothing, or cannot go on from a
+        checkpoint; a checkpoint of another search; or a local refinement after a solver of
+        coefficients.
+    KeyboardInterrupt
+        When interrupted before anything was evaluated.
 
     Examples
     --------
@@ -320,9 +326,10 @@ def begin(problem: Problem, solver: Solver) -> None:
 
 def require_able(problem: Problem, solver: Solver,
                  other_solvers: Callable[[], Iterable[type[Solver]]] = tuple) -> None:
-    """Refuse a solver that cannot handle the objectives or the genes of the problem.
+    """Raise TermselError for a solver that cannot handle the objectives or genes of a problem.
 
-    The error names those of the `other_solvers` that can.
+    The error names those of the `other_solvers` that can. A problem that declares neither is
+    refused, too.
     """
     _require_declared(problem)
     n_objectives = len(problem.objectives)

@@ -346,8 +346,9 @@ class _Kinds:
         """Return the options of each part, and those for every cell that some part has.
 
         An option in the study's own table is for every part that has one of that name; one next to
-        a part is for this part first, else for all parts of its cells, as with --set. What is used
-        nowhere is noticed by `_used`.
+        a part is for this part first, else for all parts of its cells, as with --set, and wins. A
+        part that is an object keeps its own. The study's options that some part has are added to
+        `_used`: what no cell adds is for nobody.
         """
         declared: dict[str, tuple[Option, ...]] = {"data": DATA_OPTIONS}
         if strategy != "auto":

@@ -91,7 +91,8 @@ def _far_image_sentences(
     A batch is usually of one area, so that an image somewhere else has a wrong CRS, exchanged axes
     or another sign. Images are grouped by their distances; where one group has most of them, each
     other group gets a sentence with the likely reason, and each of its images the doubt. Without a
-    clear majority nothing is said.
+    clear majority, with fewer than three images whose place is known, and with more than `PLACES`
+    places nothing is said.
     """
     placed_images = {name: setting for name, setting in settings.items() if setting.get("place")}
     # Of two images nobody can say which one is elsewhere.

@@ -214,7 +214,7 @@ def _contradiction_clauses(row: Mapping[str, Any], usual: float,
     """Return clauses on why the figures of an image are doubtful; [] if they are not.
 
     `row` is of the table of a study; `usual` is the RMSE of the usual image of the study [px].
-    Errors up to the size that the user accepts, if any, are no reason.
+    Notes on errors up to the size that the user accepts, if any, are no reason.
     """
     clauses = []
     if row["doubt"]:

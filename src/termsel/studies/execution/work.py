@@ -161,7 +161,9 @@ def _search_as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
 
     Blunders are left out before the search, as in a run; what a run does besides, such as comparing
     with plain models, is not, as it is the same for all seeds and takes longer than most searches.
-    Raises KeyboardInterrupt for an interrupted search, which is no result of a study.
+    The fitness is None for a selection that is not feasible and for coefficients that are not those
+    of least squares. The `trace` is ended by the search. Raises KeyboardInterrupt for an
+    interrupted search, which is no result of a study.
     """
     call = cell.call
     names = {role: cell.things.get(role, call[role])
@@ -302,7 +304,7 @@ def _figures_of(result: Result) -> dict[str, Any]:
     """Return the figures of a choice by auto for the table of the study.
 
     They are those that rank and judge the images of a batch. The size of a pixel turns px into
-    metres: that of the prediction, or else of the independent points.
+    metres: that of the prediction, or else of the independent points. What is not known is None.
     """
     predicted = result.predicted
     selection = result.selection

@@ -113,7 +113,8 @@ def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
     Raises
     ------
     TermselError
-        For unknown keys and parts that nobody would use, at their line of the file.
+        For unknown keys, values that are none, and parts that nobody would use, at their line of
+        the file.
     """
     # From Python there are no lines to name.
     at = places or Places()

@@ -21,12 +21,12 @@ def taken_by_otb(path: Path, raster_header: Header) -> Taken | None:
     """Return what OTB takes from a raster; None if OTB is not installed.
 
     It is an RPC, if OTB has one, or else the origin and spacing of the geotransform. `places` is
-    None where its applications do not report the georeferencing.
+    None where its applications do not report the georeferencing, or not the rotation of it.
 
     Raises
     ------
     NoAnswer
-        If OTB cannot read the raster, or the path has a question mark.
+        If OTB cannot read the raster or answers in another form, or the path has a question mark.
     """
     info, convert = map(find_program, ("otbcli_ReadImageInfo", "otbcli_ConvertSensorToGeoPoint"))
     if info is None or convert is None:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from termsel import TermselError
 from termsel_formats.check import gdal, otb, qgis, raster
 from termsel_formats.check.base import NoAnswer, Taken
 
@@ -35,9 +34,11 @@ class Answers:
 
 
 def taken_by_programs(path: Path | str) -> Answers:
-    """Return what GDAL, rasterio, QGIS and OTB take from a raster, as far as they are installed.
+    """Return what rasterio, GDAL, QGIS and OTB take from a raster.
 
-    QGIS and OTB are asked only if GDAL's command line is installed and reads the raster.
+    All but rasterio are asked as far as they are installed. QGIS and OTB are asked only if GDAL's
+    command line is installed and reads the raster; else they are named neither among the absent nor
+    among those that failed.
 
     Parameters
     ----------
@@ -50,7 +51,7 @@ def taken_by_programs(path: Path | str) -> Answers:
     Raises
     ------
     TermselError
-        If no program can read it.
+        If rasterio is not installed or cannot read it.
 
     Examples
     --------
@@ -86,8 +87,6 @@ def taken_by_programs(path: Path | str) -> Answers:
         answers += program_answers
         if not program_answers:
             absent.append(name)
-    if not answers:
-        raise TermselError("no program can read this raster", file=path, hint="; ".join(failed))
     return Answers(tuple(answers), tuple(absent), tuple(failed))
 
 

@@ -41,12 +41,14 @@ def taken_by_qgis(path: Path, raster_header: Header) -> Taken | None:
 
     QGIS reports the extent of a layer alone. Its transformation is taken to be the one whose
     outline has that extent: GDAL's default, or an RPC at its height offset, as QGIS takes it from
-    version 3.14 on (`QgsGdalUtils::rpcAwareAutoCreateWarpedVrt`). `places` is None if neither has.
+    version 3.14 on (`QgsGdalUtils::rpcAwareAutoCreateWarpedVrt`). `places` is None if neither has,
+    and for a raster that is not georeferenced. The .aux.xml beside it, which QGIS writes, is
+    restored.
 
     Raises
     ------
     NoAnswer
-        If QGIS cannot read the raster.
+        If QGIS cannot read the raster, or answers in another form.
     """
     # On some systems qgis_process is a script that adds an option which the program does not know.
     program = find_program("qgis_process.bin") or find_program("qgis_process")

@@ -43,7 +43,8 @@ class ErdasGcps(Reader):
         """Return the points; the format states no CRS.
 
         The separator is the most frequent one of the header, whose words are compared without case
-        and signs. Errors name file, line and column.
+        and signs. Lines of which none is above 0 count upwards, and are turned. Raises
+        TermselError, with file, line and column, also for a binary file.
         """
         if path.suffix.lower() == ".gcc" and read_data(path).startswith(_BINARY):
             raise TermselError("this .gcc file of ERDAS IMAGINE is binary", file=path,

@@ -43,8 +43,9 @@ class ArcgisLinks(Reader):
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for rows of numbers whose signs and sizes are those of links.
 
-        X Source is positive, Y Source negative, and both are beyond what degrees can be. Other rows
-        of numbers do not show which of them are in the image.
+        X Source is never negative, Y Source never positive, and the largest of them is beyond what
+        degrees can be and within the size of an image. Other rows of numbers do not show which of
+        them are in the image.
         """
         text = head.decode("utf-8-sig", "replace")
         complete = text.rpartition("\n")[0] if len(head) > 60000 else text

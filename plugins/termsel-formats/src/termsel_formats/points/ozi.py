@@ -51,8 +51,8 @@ class OziMap(Reader):
     def read(self, path: Path) -> FeatureSet:
         """Return the points in use, with longitude and latitude or with grid coordinates.
 
-        Raises TermselError if there are none, or if some have degrees and others grid coordinates.
-        Errors name file, line and column.
+        Their heights are not known. Raises TermselError if there are none, or if some have degrees
+        and others grid coordinates. Errors name file, line and column.
         """
         text = read_text(path).splitlines()
         rows: list[tuple[int, str, str, str, str, str]] = []

@@ -79,8 +79,9 @@ class Pix4dMarks(Reader):
     def read(self, path: Path) -> FeatureSet:
         """Return the marks of one image that have ground coordinates in a second file.
 
-        Of several images the option `image_name` chooses one. Errors name the file at fault, its
-        line and column.
+        Of several images the option `image_name` chooses one. The second file is that of the option
+        `ground`, or else NAME_gcps.csv beside the first. Raises TermselError with the file at
+        fault, its line and column.
         """
         marks = _numbered_rows(path, (4, 5), "image,label,x,y")
         stated = self.options["ground"]

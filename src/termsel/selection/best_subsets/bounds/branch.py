@@ -1,9 +1,9 @@
 """The compiled branch and bound behind `termsel.selection.best_subsets.subsets`.
 
-The tree is that of `columns.kernels.walk`. At every node a bound closes the columns from some point
-on. Errors of check points and held-out errors have scores and bounds of their own, in
-`bounds.check_errors` and `bounds.held_out`; the loop is one. It is compiled for each of both with
-its steps alone, as the space of the other is None, which is a type of its own.
+The tree is that of `columns.kernels.enumerate_subsets`. At every node a bound closes the columns
+from some point on. Errors of check points and held-out errors have scores and bounds of their own,
+in `bounds.check_errors` and `bounds.held_out`; the loop is one. It is compiled for each of both
+with its steps alone, as the space of the other is None, which is a type of its own.
 """
 
 from __future__ import annotations
@@ -34,8 +34,10 @@ def decide_branch(kind: int, vectors: Vectors, limits: Limits, records: Records,
 
     For the errors of check points the kind is LINEAR or RATIONAL, of one system and one target,
     with `check`. For held-out errors it is PRESS without denominators, or LINEAR (see
-    `bounds.held_out`), with the space `work` (n + r, rows). All else is as for
-    `columns.kernels.walk`. Return the number of subsets that a bound ruled out.
+    `bounds.held_out`), with the space `work` (n + r, rows). One of `check` and `work` is None. All
+    else is as for `columns.kernels.enumerate_subsets`. The best subsets are in `records` then.
+    Return the number of subsets that were ruled out with others, by the bound of a node; those of
+    a block count as looked at.
     """
     systems, r = 1, 1
     if work is not None:

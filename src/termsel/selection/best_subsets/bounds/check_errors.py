@@ -95,7 +95,8 @@ def decide_block(kind: int, vectors: Vectors, limits: Limits, records: Records, 
                  b: SubsetBlock) -> bool:
     """Decide all subsets that add some of the columns first, ..., n - 1, by their inner products.
 
-    Return False if inner products are too inaccurate, so that the vectors must decide.
+    The best subsets are in `records` then. Return False if inner products are too inaccurate, so
+    that the vectors must decide on all of them again; what was recorded by then is correct.
     """
     n = vectors.top.shape[2] - 1
     count = n - first

@@ -55,8 +55,8 @@ def first_closed_by_parts(top: FloatArray, extra: FloatArray, first: int, n: int
 
     `top` (n + 1, rows) has the vectors T and r, `extra` (n + 1, c) the V and e, and (n + 1, 2 c)
     also d and D where there are denominators: they are one depth of `Vectors`, without the columns
-    in use. `upper` (c + 1,), U and tau, is lowered in place; it is 1 for scores without
-    denominators.
+    in use. `upper` (c + 1,), U and tau, is lowered in place if the score is `rational`, and is 1
+    for scores without denominators. `space` is overwritten.
     """
     count = n - first + 1
     c = len(upper) - 1

@@ -44,7 +44,10 @@ def node_bound(tree: Tree, d: int, limit: float) -> float:
     """Return a lower bound of the residual sums of squares of the subsets of a node at depth `d`.
 
     It is infinite where no subset has a score. The weights u of the guard points are raised until
-    the bound is above the limit, and stay in `tree.weight`; `tree.shifted` becomes q + W u.
+    the bound is above the limit, hardly rises any more, or was raised `_GUARD_ROUNDS` times. They
+    stay in `tree.weight`; `tree.shifted` becomes q + W u. If they help nothing, none is left, and
+    u is 0. Where columns depend on each other `tree.weights[d]` becomes -1, and there are neither
+    weights nor `tree.shifted`.
     """
     n = tree.count[d]
     m = tree.weights[d]
@@ -189,10 +192,10 @@ def _residuals_if_dependent(tree: Tree, d: int) -> float:
 def order_columns(tree: Tree, d: int, bound: float) -> None:
     """Sort the columns not in use by the bound without each, the highest first.
 
-    Columns whose removal costs most are dropped first, so that the subtrees that follow are cut
-    early. Without column i the residuals grow by b_i^2 over the squared length of row i of R^-1.
-    `bound` is that of the node at depth `d`; with dependent columns it is all that is known of
-    each.
+    They are written to `tree.order` at depth `d`, and their bounds to `tree.bound`. Columns whose
+    removal costs most are dropped first, so that the subtrees that follow are cut early. Without
+    column i the residuals grow by b_i^2 over the squared length of row i of R^-1. `bound` is that
+    of the node at depth `d`; with dependent columns it is all that is known of each.
     """
     n = tree.count[d]
     r = tree.target.shape[1]

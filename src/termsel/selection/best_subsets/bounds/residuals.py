@@ -37,9 +37,10 @@ def branch_residuals(tree: Tree, limits: Limits, records: Records, counts: IntAr
     """Decide all subsets of the columns at depth 0 that hold those in use there.
 
     The room of the limits is that of depth 0, without an offset; records have bits and guard of all
-    columns; counts are as of `WalkPosition`, `single` is as for `columns.kernels.walk`. Nodes of at
-    most `enumerated_up_to` subsets are enumerated. Return the number of subsets that no bound ruled
-    out.
+    columns; counts are as of `WalkPosition`, `single` is as for
+    `columns.kernels.enumerate_subsets`. Nodes of at most `enumerated_up_to` subsets are enumerated.
+    The best subsets are in `records` then. Return the number of subsets that no bound ruled out;
+    those of a node whose columns depend on each other, which have no score, are among them.
     """
     max_size = limits.size + limits.room
     best = records.best
@@ -104,11 +105,12 @@ def branch_residuals(tree: Tree, limits: Limits, records: Records, counts: IntAr
 
 @_compiled
 def _drop_column(tree: Tree, d: int, position: int) -> None:
-    """Drop a column of the triangle R; those before it in the order are fixed from there on.
+    """Write to depth d + 1 the child of a node without a column, by its position in the order.
 
-    The child at depth d + 1 is the subtree without that column. Taking a column out of R leaves one
-    entry below the diagonal in each later column; Givens rotations of two rows bring it to zero,
-    and Q'y with it. What ends in the row that became zero adds to the residual sum of squares.
+    The columns before it in the order are fixed in the child: its subsets all have them. Taking a
+    column out of R leaves one entry below the diagonal in each later column; Givens rotations of
+    two rows bring it to zero, and Q'y with it. What ends in the row that became zero adds to the
+    residual sum of squares.
     """
     n = tree.count[d]
     x = tree.order[d, position]
@@ -176,7 +178,8 @@ def _enumerate_node(tree: Tree, d: int, n: int, room: int, all_in_use: bool, lim
 
     The node is that at depth `d` of the tree, of `n` columns. Up to `room` columns are added to
     those in use; with `all_in_use` the n columns are the only subset. `counts` and `single` are as
-    for `branch_residuals`.
+    for `branch_residuals`. The best subsets are in `records` then; columns in use that depend on
+    each other leave it as it is.
     """
     r = tree.target.shape[1]
     g = records.guard.shape[1]

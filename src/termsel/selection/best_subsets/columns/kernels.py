@@ -269,7 +269,8 @@ def enumerate_subsets(kind: int, vectors: Vectors, limits: Limits, records: Reco
 
     The kind is LINEAR, RATIONAL, PRESS or RSS. If f = r = 1, `single` is None: a type of its own,
     for which faster code is compiled. `press` is None unless the kind is PRESS: no other compiles
-    that part.
+    that part. The vectors at depth 0 are given, those below are overwritten. The best subsets,
+    the one in use already among them, are in `records` then.
     """
     if single is None:
         systems, r = 1, 1

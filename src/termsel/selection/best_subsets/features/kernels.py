@@ -52,7 +52,9 @@ def enumerate_selections(rows: FeatureRows, state: WalkState, space: EntrySpace,
                          size: int, limits: SelectionLimits, remaining: RemainingSelections) -> int:
     """Decide a selection of some size and all with features from `first` on in addition.
 
-    Return how many may be within the limits: the first rows of `remaining` hold them.
+    `state` has the selection at depth 0, and space below. Return how many of at least
+    `limits.min_size` features may be within the limits, or have no score that can be trusted: the
+    first rows of `remaining` hold them.
     """
     n = len(rows.bits)
     mask = state.mask

@@ -236,9 +236,10 @@ def step_algorithm(algorithm: Algorithm, problem: Problem, rng: np.random.Genera
                    chance: OwnChance | None = None) -> Iterator[Generation]:
     """Yield the generations of a pymoo algorithm that is not yet set up; the object is changed.
 
-    What draws from a global random state, as some of pymoo's operators do, gets one of its own. The
-    horizon is the number of generations that RVEA, which adapts to how far a run is, takes for the
-    length of it; by default those of the usual budget. The chance is what global states give.
+    They end when it has no offspring that is new. What draws from a global random state, as some of
+    pymoo's operators do, gets one of its own. The horizon is the number of generations that RVEA,
+    which adapts to how far a run is, takes for the length of it; by default those of the usual
+    budget. The chance is what global states give.
     """
     genome = problem.genome
     pymoo_problem = _ProblemForPymoo(problem)

@@ -225,7 +225,8 @@ def generation_of(problem: Problem, proof: Proof | FeatureProof, index: int, spa
 
     These are the best ones of every size once all is proven, the best of all until then, and
     `placeholder` (1, size) as long as no feasible selection is known. The details have the share
-    that is decided and the certificate, which calls the space of selections by `space`.
+    that is decided, the proof, the front once all is proven, and the certificate, which calls the
+    space of selections by `space`.
     """
     front = proof.front()
     if not front:
