@@ -35,7 +35,12 @@ from termsel.fitting.fit import Fit, Undetermined
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
 from termsel.runs.between_points import uncertain_between_points
-from termsel.runs.data_notes import notes_on_data, notes_on_dem, uncertain_corners
+from termsel.runs.data_notes import (
+    note_on_rounding,
+    notes_on_data,
+    notes_on_dem,
+    uncertain_corners,
+)
 from termsel.runs.exported_rpc import doubt_of_rpc
 from termsel.runs.finding import Finding, plugins_of
 from termsel.runs.judgement import best_conventional, judge_choice
@@ -313,11 +318,12 @@ class _Assessed:
         if self.predicted is not None and not method.from_one and lattice is None:
             uncertain_places = [*uncertain_between_points(chosen, self.predicted),
                                 *uncertain_corners(fitted, self.predicted.rmse)]
+        rounded = "" if self.errors is None else note_on_rounding(clean.pool.features, self.errors)
         return (
             *filter(None, [doubt, on_terms, self.note_on_projection]),
             *_notes_on_stated_geometry(clean.pool, self.auto, chosen),
             *notes_on_dem(self.request.features, fitted),
-            *filter(None, (rpc_unused, rpc_correction)),
+            *filter(None, (rpc_unused, rpc_correction, rounded)),
             *notes_on_data(self.request.features, self.observations, heights=not heights_are_known,
                            blank=self.request.blank, clean=clean),
             *_notes_on_choice(self.request.model, clean, self.errors, interrupted,

@@ -441,6 +441,56 @@ def _note_on_flat(control: FitData, points: Points) -> Iterator[str]:
                "usually are.")
 
 
+FEWEST_OF_ROUNDING = 6
+"""Points from which on it is no chance that all their coordinates are round."""
+
+COARSEST, FINEST = 5, -7
+"""Powers of ten between which steps of coordinates are looked for: 100 km, and far below a metre in
+degrees."""
+
+NOTICEABLE_ROUNDING = 1.0
+"""Error [px] by rounding from which on it matters."""
+
+AS_LARGE_AS_ROUNDING = 0.25, 3.0
+"""Errors at held-out points, by the error of rounding, between which this may be why: lines of a
+graticule are round, too, and have far smaller errors."""
+
+
+def note_on_rounding(features: FeatureSet, errors: FloatArray) -> str:
+    """Return a note that x and y have too few decimals, which would explain the errors; or "".
+
+    `errors` (n, 2) are those of held-out points [px]. A coordinate rounded to a step is off by up
+    to half of it: its standard deviation is step / sqrt(12).
+    """
+    points = features.points
+    if len(features.lines) or len(points) < FEWEST_OF_ROUNDING:
+        return ""
+    plan = points.ground[:, :2]
+    steps = np.array([_step_of(values) for values in plan.T])
+    # How many px a unit of x and of y is: the linear part of an affine fit of the image.
+    columns = np.column_stack([np.ones(len(plan)), plan - plan.mean(axis=0)])
+    to_image = np.linalg.lstsq(columns, points.image, rcond=None)[0][1:]
+    rounding = float(np.linalg.norm(steps[:, None] * to_image)) / np.sqrt(12.0)
+    typical_error = float(np.median(np.linalg.norm(errors, axis=1)))
+    least, most = AS_LARGE_AS_ROUNDING
+    if rounding < NOTICEABLE_ROUNDING or not least <= typical_error / rounding <= most:
+        return ""
+    unit = " degrees" if is_in_degrees(features.crs) else ""
+    return (f"x and y are multiples of {steps.max():g}{unit}, as if rounded: that alone is an "
+            f"error of some {rounded_size_text(rounding)} px. Take them from their source with "
+            "more decimals.")
+
+
+def _step_of(values: FloatArray) -> float:
+    """Return the largest power of ten of which all values (n,) are multiples; 0 if none is."""
+    tolerance = 1e-9 * float(np.abs(values).max(initial=1.0))
+    for power in range(COARSEST, FINEST, -1):
+        step = 10.0**power
+        if (np.abs(values - step * np.round(values / step)) <= tolerance).all():
+            return step
+    return 0.0
+
+
 def _why_heights_unused(control: FitData, z: FloatArray, hidden: bool) -> str:
     """Return the sentence on why the heights z (n,) of control were not used.
 
