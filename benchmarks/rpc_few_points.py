@@ -214,8 +214,9 @@ noise of a measurement to the places that are compared, as it is in independent 
 
 How corrections are [averaged](../how-to/rpc-few-points.md) has these constants: a shift has half
 of the probability beforehand, no error a quarter, drift and affine an eighth each; noise is half
-a pixel within a factor of 2. They were set before these cases were drawn, on others of the same
-kind, among a few round numbers.
+a pixel within a factor of 2, and from three points on its logarithm has Student's distribution with
+4 degrees of freedom about that. They were set on other cases of the same kind, among a few round
+numbers.
 
 ## Requirement and measurement
 

@@ -193,6 +193,25 @@ def test_the_error_of_an_rpc_is_found(n: int, width: int, allowed: float) -> Non
     assert off(result, features, width) < allowed
 
 
+@pytest.mark.filterwarnings("ignore:.*far outside the control")
+def test_scatter_of_rough_points_is_no_affine_error() -> None:
+    # Three points with a noise of 5 px: an affine correction fits them exactly.
+    ratios = []
+    within = []
+    for seed in range(16):
+        features = scene(3, 1, seed=seed, noise=5.0)
+        places = scene(60, 1, seed=100 + seed, noise=0.0).points
+        fitted = CORRECTIONS[0].fit(termsel.FitData.of(features))
+        errors = fitted.project(places.ground) - places.image
+        assert features.rpc is not None
+        noise = features.points.image - wrong(features.rpc, features.points.ground, 1)
+        # A shift by the points is off by their mean noise.
+        ratios.append(np.sqrt((errors**2).sum(axis=1).mean()) / np.linalg.norm(noise.mean(axis=0)))
+        within.append((np.abs(errors) < 1.645 * fitted.sigma(places.ground)).mean())
+    assert np.median(ratios) < 1.2
+    assert np.mean(within) > 0.75
+
+
 def test_a_good_rpc_stays_as_it_is() -> None:
     features = scene(2, 0)
     result = termsel.run(features=features)

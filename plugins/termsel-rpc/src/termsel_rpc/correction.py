@@ -34,6 +34,9 @@ from termsel_rpc.refinement import FloatArray
 
 BoolArray = np.ndarray[tuple[int], np.dtype[np.bool_]]
 
+N_FIT_BY_DRIFT = 2
+"""Number of features that a drift fits exactly, so that they show no noise."""
+
 MANY_FEATURES = 17
 """Number of features from which on blunders are left to the test by regularised polynomials."""
 
@@ -173,8 +176,9 @@ def belief_about_rpc(model: RpcAffine, features: FeatureSet, scaling: Scaling,
     sigma = features.points.sigma
     rows = equations.A @ to_terms(model, scaling) * scaling.image_scale
     usual = USUAL_PX if sigma is None else float(np.median(sigma))
-    return Belief(rows, equations.b * scaling.image_scale, equations.feature,
-                  correction_grid(kinds, usual)), row_weights(scaled)
+    grid = correction_grid(kinds, usual, scattered=len(features) > N_FIT_BY_DRIFT)
+    belief = Belief(rows, equations.b * scaling.image_scale, equations.feature, grid)
+    return belief, row_weights(scaled)
 
 
 def _rows_as_vectors(errors: FloatArray, scaled: FeatureSet) -> FloatArray:
