@@ -11,6 +11,7 @@ from pathlib import Path
 from time import monotonic
 
 import numpy as np
+from numpy.typing import NDArray
 
 from termsel import TermselError, get, open_dem
 from termsel.toolkit import csv_table, write_text
@@ -144,8 +145,7 @@ def match_ties(
     matcher_class = get("matchers", matcher or "sift")
     until = None if seconds is None else monotonic() + seconds
     all_pairs = list(combinations(range(len(paths)), 2))
-    # A keypoint of an image by its position: its matches in several others are one tie.
-    members: dict[tuple[int, float, float], list[tuple[int, float, float]]] = {}
+    ties = _Ties(names)
     pairs = []
     any_overlap = False
     for done, (i, j) in enumerate(all_pairs):
@@ -155,8 +155,7 @@ def match_ties(
                 progress((done + share) / len(all_pairs))
 
         looking = Looking(matcher_class() if isinstance(matcher_class, type) else matcher_class,
-                          search, count, until,
-                          tell)
+                          search, count, until, tell)
         with (open_masked(paths[i], band, masks) as picture,
               _open_reference(paths[j], starts[j], starts[i], dem, band, masks) as seen_image):
             in_second = seen_image.seen(spread_pixels(picture.size, (COVERS, COVERS)))
@@ -166,30 +165,65 @@ def match_ties(
                 continue
             matches = match_cells(picture, seen_image, looking)[0]
             moved = matches.second - seen_image.seen(matches.first)
-        finite = np.flatnonzero(np.isfinite(moved).all(axis=1))
-        # Matches that agree with a smooth surface of displacements, as those of a true pair do.
-        smooth = smooth_part(matches.first[finite], moved[finite])
-        agree = finite[smooth[1]] if smooth is not None else finite[:0]
+        agree = _agreeing(matches.first, moved)
         pairs.append(PairOfImages(names[i], names[j], len(moved), len(agree)))
-        for in_first, in_second in zip(matches.first[agree].tolist(),
-                                       matches.second[agree].tolist(), strict=True):
-            members.setdefault((i, in_first[0], in_first[1]), []).append(
-                (j, in_second[0], in_second[1]))
-    rows = []
-    for number, (first, further) in enumerate(members.items(), 1):
-        rows += [(f"T{number:04d}", names[image], line, sample)
-                 for image, line, sample in (first, *further)]
+        ties.add(i, matches.first[agree], j, matches.second[agree])
     if not any_overlap:
         raise TermselError("this raster has no heights where the images are", file=Path(dem),
                            hint="Give heights of the area by --dem.")
+    rows = ties.rows()
     if not rows:
-        over = until is not None and monotonic() > until
-        hint = ("Do they show the same ground? Give a larger --search, another --matcher, or the "
-                "right --dem.")
-        if over:
-            hint = "There was no time. Give more --seconds."
-        raise TermselError("no ties were found between any two of the images", file=paths[0],
-                           hint=hint)
+        raise _no_ties_error(paths[0], is_time_over=until is not None and monotonic() > until)
+    _warn_of_untied(names, rows)
+    return MatchedTies(tuple(rows), tuple(pairs))
+
+
+class _Ties:
+    """Places of images, each with its matches in later ones: all of these are one tie."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        """Begin without ties between the images of these names."""
+        self._names = names
+        # Image, line and sample of a keypoint, and the same of its matches.
+        self._matches: dict[tuple[int, float, float], list[tuple[int, float, float]]] = {}
+
+    def add(self, i: int, in_first: FloatArray, j: int, in_second: FloatArray) -> None:
+        """Add the matches of two images: positions (n, 2) in image i and in the later image j."""
+        for first, second in zip(in_first.tolist(), in_second.tolist(), strict=True):
+            self._matches.setdefault((i, first[0], first[1]), []).append((j, second[0], second[1]))
+
+    def rows(self) -> list[tuple[str, str, float, float]]:
+        """Return a row for each image of each tie: names of tie and image, line and sample [px]."""
+        rows = []
+        for number, (first, further) in enumerate(self._matches.items(), 1):
+            rows += [(f"T{number:04d}", self._names[image], line, sample)
+                     for image, line, sample in (first, *further)]
+        return rows
+
+
+def _agreeing(positions: FloatArray, moved: FloatArray) -> NDArray[np.intp]:
+    """Return the indices of the matches that agree with a smooth surface of displacements.
+
+    Those of a true pair of images do. `positions` and `moved` are (n, 2) [px], and NaN where a
+    match has no displacement. None agrees where there is no such surface.
+    """
+    finite = np.flatnonzero(np.isfinite(moved).all(axis=1))
+    smooth = smooth_part(positions[finite], moved[finite])
+    return finite[smooth[1]] if smooth is not None else finite[:0]
+
+
+def _no_ties_error(first_image: Path, *, is_time_over: bool) -> TermselError:
+    """Return the error for images without a tie, by whether there was no time left."""
+    hint = ("Do they show the same ground? Give a larger --search, another --matcher, or the "
+            "right --dem.")
+    if is_time_over:
+        hint = "There was no time. Give more --seconds."
+    return TermselError("no ties were found between any two of the images", file=first_image,
+                        hint=hint)
+
+
+def _warn_of_untied(names: Sequence[str], rows: Sequence[tuple[str, str, float, float]]) -> None:
+    """Log a warning for each image that is in no row of the ties."""
     tied = {row[1] for row in rows}
     for name in names:
         if name not in tied:
@@ -197,7 +231,6 @@ def match_ties(
                         "ground? Try --matcher structure, which other light and other sensors do "
                         "not disturb, or a larger --search, or leave the image out of the block.",
                         name)
-    return MatchedTies(tuple(rows), tuple(pairs))
 
 
 def _start(path: Path) -> Start:
