@@ -95,7 +95,8 @@ CASES: dict[str, dict[str, Any]] = {
               "options": {**record()["options"], "model": {"degree": 2}},
               "offered": {"n_terms": 20, "n_features": 40}, "blunder_test": outlier_test(9.0)},
     "swapped-axes": {"data": data(read={**READ, "doubt": "x and y look swapped: they do"})},
-    "no-model-fits": {**CHOSEN, "predicted": {"rmse": 153.0, "low": 43.0, "high": 335.0},
+    "no-model-fits": {**CHOSEN, "baselines": [],
+                      "predicted": {"rmse": 153.0, "low": 43.0, "high": 335.0},
                       "blunder_test": outlier_test(20.0, 12)},
     "predicted-in-metres": {
         **CHOSEN, "predicted": {**PREDICTED, "pixel": 0.5},

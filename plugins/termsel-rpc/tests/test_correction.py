@@ -294,6 +294,39 @@ def test_an_rpc_of_another_image_of_the_place_is_named() -> None:
     assert any("more than half of its image" in note for note in result.notes)
 
 
+def bent_far(shift: float) -> FeatureSet:
+    """Points of an image that no correction of its RPC explains, and that begins elsewhere."""
+    features = scene(40, 1)
+    points = features.points
+    bent = points.image + 900 * ((points.image[:, :1] - 3500) / 3500) ** 2 + shift
+    return features.with_(points=replace(points, image=bent))
+
+
+@pytest.mark.parametrize(("shift", "is_doubted"), [(0.0, False), (3000.0, True)])
+def test_an_rpc_that_is_not_used_is_told_with_its_distance(shift: float, is_doubted: bool) -> None:
+    features = bent_far(shift)
+    assert features.rpc is not None
+    off = features.points.image - features.rpc.project(features.points.ground)
+    line, sample = np.median(off, axis=0)
+    notes = termsel.run(features=features).notes
+    note = next(note for note in notes if note.startswith("The RPC is not used"))
+    assert f"(median: {line:+,.0f} px in line, {sample:+,.0f} px in sample)" in note
+    assert ("is it of another image" in note) == is_doubted
+    assert ("by more than chance explains" in note) != is_doubted
+
+
+def test_an_rpc_that_does_not_fit_what_a_polynomial_fits_is_at_fault(tmp_path: Path) -> None:
+    termsel.write_points_csv(bent_far(3000.0).points, tmp_path / "p.csv", crs="EPSG:4979")
+    (tmp_path / "a.RPB").write_text(rpb_text(read_rpc(RPC_FILE)))
+    _, text = command("run", "--points", tmp_path / "p.csv", "--rpc", tmp_path / "a.RPB",
+                      "--model", "rpc-shift", "--out", tmp_path / "r")
+    screen = " ".join(text.split())
+    assert "not detectable: the RPC does not fit these points, which a" in screen
+    assert "columns, the units" not in screen
+    assert "Next: give the RPC of this image, or leave it out" in screen
+    assert " as small" in screen
+
+
 @pytest.mark.parametrize(("change", "said"), [
     ({"crs": "local"}, "without a CRS"), ({"height": np.nan}, "needs ellipsoidal heights")])
 def test_points_that_cannot_correct_it_are_named(change: dict[str, object], said: str) -> None:

@@ -72,6 +72,10 @@ class ImagePart:
         """Return lines and samples (..., 2) in the part of a position in the whole image."""
         return np.asarray((position + 0.5 - self.offset) / self.scale - 0.5)
 
+    def places_in_whole(self, position: FloatArray) -> FloatArray:
+        """Return lines and samples (..., 2) in the whole image of a position in the part."""
+        return np.asarray((position + 0.5) * self.scale + self.offset - 0.5)
+
     @property
     def settings(self) -> str:
         """The options that state it."""

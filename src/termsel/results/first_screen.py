@@ -50,6 +50,7 @@ from termsel.results.verdict import (
     are_errors_large,
     are_too_few_to_test,
     does_nothing_fit,
+    fit_that_works,
     label_of,
     may_be_shifted,
     names_to_leave_out,
@@ -451,6 +452,11 @@ def _no_outlier_clause(record: Record) -> str:
     if is_blind and test.features < NOT_FEW:
         check = "; with errors this large check each of them" if nothing_fits else ""
         return f"not detectable: {features} {'is' if test.features == 1 else 'are'} too few{check}"
+    if nothing_fits and (works := fit_that_works(record)):
+        rival, size = works
+        return (f"not detectable: {_model_at_fault(record)} does not fit these "
+                f"{record.data.counts.word}, which {BY_NAME[rival.name].title} fits to "
+                f"{rounded_size_text(size)} px")
     if nothing_fits:
         return (f"not detectable: no model fits these {record.data.counts.word}; check the "
                 "columns, the units and the CRS")
@@ -460,6 +466,16 @@ def _no_outlier_clause(record: Record) -> str:
         return (f"none found among {features}; below {rounded_size_text(test.limit)} px most "
                 "cannot be detected")
     return f"none among {features}"
+
+
+def _uses_rpc(record: Record) -> bool:
+    """Return whether the model is a correction of a vendor's RPC."""
+    return record.data.rpc is not None and record.model.startswith(_RPC)
+
+
+def _model_at_fault(record: Record) -> str:
+    """Return what the screen calls a model that does not fit features which another one fits."""
+    return "the RPC" if _uses_rpc(record) else "this model"
 
 
 def _group_outliers(record: Record) -> tuple[list[Outlier], list[Outlier], list[Outlier]]:
@@ -843,6 +859,9 @@ def next_step_for_user(record: Record, folder: str = "", command: str = "",
         return f"Next: {command or f'run again with {pairs}'}{purpose}"
     if may_be_shifted(record):
         return "Next: compare some of these points with the map before leaving any out"
+    if fit_that_works(record):
+        return ("Next: give the RPC of this image, or leave it out" if _uses_rpc(record)
+                else "Next: leave the model out, and one is chosen that fits")
     if does_nothing_fit(record):
         return "Next: correct the columns, the units or the CRS, then run again"
     if are_errors_large(record):

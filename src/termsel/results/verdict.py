@@ -9,7 +9,7 @@ from termsel.auto.compare import WITHOUT_BLUNDERS
 from termsel.auto.methods import BY_NAME
 from termsel.auto.rule import CLEAR_MARGIN
 from termsel.core.errors import rounded_size_text
-from termsel.data.record.figures import BlunderTest, Outlier, RmseByRole
+from termsel.data.record.figures import BaselineRow, BlunderTest, Outlier, RmseByRole
 from termsel.data.record.record import Record
 from termsel.results.blocks import Block, TableBlock
 
@@ -55,7 +55,7 @@ def verdict_on_choice(own_rmse: float, rival_rmse: float, rival: str,
         return "no practical difference"
     if rival_rmse > own_rmse:
         return f"{times_in_words(rival_rmse / own_rmse)} as large"
-    smaller = f"{100 * (1 - rival_rmse / own_rmse):.0f} % smaller"
+    smaller = smaller_in_words(own_rmse, rival_rmse)
     # Where a method was asked for, nothing else was on offer.
     if len(gains) <= 1:
         return smaller
@@ -69,6 +69,17 @@ def verdict_on_choice(own_rmse: float, rival_rmse: float, rival: str,
         certainty = f"{chance} in cross-validation" if at_points else chance
     command = f"; --method {rival} takes it" if own_rmse > CHANCE * rival_rmse else ""
     return f"{smaller}, {certainty}{command}"
+
+
+_BY_FACTOR = 20.0
+"""Ratio from which on a smaller figure is told by how many times, as its share tells no more."""
+
+
+def smaller_in_words(large: float, small: float) -> str:
+    """Return how much smaller a figure is, such as "12 % smaller" or "3,000 times as small"."""
+    if small > 0.0 and large / small >= _BY_FACTOR:
+        return f"{times_in_words(float(f'{large / small:.2g}'))} as small"
+    return f"{100 * (1 - small / large):.0f} % smaller"
 
 
 def times_in_words(ratio: float) -> str:
@@ -208,6 +219,29 @@ def are_errors_large(record: Record) -> bool:
     """Return whether the errors are larger than those of any model that fits the features."""
     test = record.blunder_test
     return test is not None and size_of_errors(record) > NO_FIT * test.extent
+
+
+_FITS_BETTER = 0.1
+"""Share of the errors of a model, below which those of a rival show that the model is at fault."""
+
+
+def fit_that_works(record: Record) -> tuple[BaselineRow, float] | None:
+    """Return a fit that works, and its RMSE [px], where this model does not fit.
+
+    Columns, units and CRS are right where another model fits. Returns None where the errors are not
+    large, and where those of all models are.
+    """
+    test = record.blunder_test
+    if test is None or not are_errors_large(record):
+        return None
+    largest = min(_FITS_BETTER * size_of_errors(record), NO_FIT * test.extent)
+    fitting = []
+    for row in record.baselines:
+        size = row.rmse.independent.total or row.predicted
+        if row.determined and row.name in BY_NAME and size is not None and size <= largest:
+            fitting.append((row, size))
+    # The screen compares with the reference already.
+    return min(fitting, key=lambda pair: (pair[0].name != record.reference, pair[1]), default=None)
 
 
 def are_too_few_to_test(test: BlunderTest, errors: float) -> bool:

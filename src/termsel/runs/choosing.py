@@ -17,7 +17,8 @@ from termsel.auto.rule import Choice, folds_of, gain, has_pole, method_of
 from termsel.core.errors import TermselError, count_in_words, rounded_size_text
 from termsel.core.interrupts import take_pending_interrupt
 from termsel.core.remedies import Remedy
-from termsel.data.features import FloatArray, Points, empty_points, select
+from termsel.data.coordinates.crs import LOCAL, normalise, to_wgs84
+from termsel.data.features import FeatureSet, FloatArray, Points, empty_points, select
 from termsel.data.fit_data import FitData
 from termsel.data.record.figures import Predicted, is_determined_exactly
 from termsel.data.record.search import RPC_UNUSED, CandidateRow, SearchLimits, Strategy
@@ -33,6 +34,7 @@ from termsel.fitting.extrapolation import warnings_of
 from termsel.fitting.figures import Baseline, Rmses, finite_or_none, restrict_to_control
 from termsel.fitting.fit import Fit, Undetermined
 from termsel.models.base import SensorModel
+from termsel.models.image_part import ImagePart
 from termsel.plugins.registry import registry
 from termsel.runs.between_points import uncertain_between_points
 from termsel.runs.data_notes import (
@@ -493,7 +495,7 @@ def _notes_on_rpc(request: Request, data: FitData, auto: Auto, fitted: Fit) -> t
     if method.from_one:
         return ("" if request.rpc_part is None else request.rpc_part.sentence(),
                 auto.ask(method, "describe", fitted) or "")
-    return _why_rpc_unused(data, auto, fitted), ""
+    return _why_rpc_unused(data, auto, fitted, request.rpc_part), ""
 
 
 def _notes_on_stated_geometry(data: FitData, auto: Auto, fitted: Fit) -> list[str]:
@@ -540,11 +542,13 @@ RPC_CORRECTIONS = "corrections of the RPC"
 """Family of the methods that correct a vendor's RPC."""
 
 
-def _why_rpc_unused(data: FitData, auto: Auto, fitted: Fit | None = None) -> str:
+def _why_rpc_unused(data: FitData, auto: Auto, fitted: Fit | None = None,
+                    image_part: ImagePart | None = None) -> str:
     """Return why an RPC that is given is not used, as a sentence.
 
     It is "" without an RPC, and where a note says which method failed. `fitted` is the fit of the
-    method that was chosen, None where there is none.
+    method that was chosen, None where there is none, and `image_part` the part of the RPC's image
+    that the RPC of `data` is of, None for the whole.
     """
     if data.features.rpc is None:
         return ""
@@ -555,6 +559,7 @@ def _why_rpc_unused(data: FitData, auto: Auto, fitted: Fit | None = None) -> str
     if fitted is not None and auto.fewest(data) == 1:
         reason = (f"{method_of(fitted).title} predicts the {data.features.word} better, by more "
                   "than chance explains")
+        reason = _with_distance(reason, data.features, image_part or ImagePart())
     elif missing := registry().missing("rpc-gcps"):
         reason = f"no installed package corrects an RPC. {missing}"
     elif reasons:
@@ -562,6 +567,35 @@ def _why_rpc_unused(data: FitData, auto: Auto, fitted: Fit | None = None) -> str
     else:
         return ""
     return f"{RPC_UNUSED}: {reason.removeprefix('the RPC ')}."
+
+
+_ANOTHER_IMAGE = 0.25
+"""Distance of an RPC as delivered, by the extent of the points, beyond which it is doubted."""
+
+
+def _with_distance(reason: str, features: FeatureSet, image_part: ImagePart) -> str:
+    """Return why an RPC is not used, with how far it is off as delivered, where points show that.
+
+    The distance is the median over the points, of line and sample each. One that is large against
+    the extent of the points in the image is no error of an RPC of this image. The RPC of `features`
+    is that of `image_part`, and as delivered that of the whole image.
+    """
+    rpc = features.rpc
+    points = features.points.take(np.isfinite(features.points.ground).all(axis=1))
+    if rpc is None or not len(points) or normalise(features.crs) == LOCAL:
+        return reason
+    with np.errstate(all="ignore"):
+        seen = image_part.places_in_whole(rpc.project(to_wgs84(features.crs)(points.ground)))
+    line, sample = np.median(points.image - seen, axis=0)
+    distance = float(np.hypot(line, sample))
+    if not np.isfinite(distance):
+        return reason
+    told = (f"as delivered it is {rounded_size_text(distance)} px off (median: {line:+,.0f} px in "
+            f"line, {sample:+,.0f} px in sample)")
+    if distance <= _ANOTHER_IMAGE * float(np.ptp(points.image, axis=0).max()):
+        return f"{told}, and {reason}"
+    return (f"{told}: is it of another image, or of a full scene of which this is a part? "
+            "Give the RPC of this image, or leave it out")
 
 
 def _notes_on_choice(model: SensorModel, observations: Observations, errors: FloatArray | None,
