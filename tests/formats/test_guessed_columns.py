@@ -220,9 +220,115 @@ def test_no_guess_puts_map_coordinates_into_an_image(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     path.write_text("".join(f"{sample} {x} {line} {y}\n" for sample, line, x, y in zip(
         SAMPLE, LINE, METRES["x"], METRES["y"], strict=True)))
-    with pytest.raises(TermselError, match="Put the column for each") as caught:
+    with pytest.raises(TermselError, match="This mapping is a guess") as caught:
         termsel.read(path, crs="EPSG:32619")
-    assert not caught.value.guesses
+    assert caught.value.guesses == ["line=3,sample=1,x=2,y=4"]
+
+
+ROUGH = np.round(_rng.uniform(2, 40, N))
+DATES = np.array([20190300 + day for day in range(3, 3 + N)])
+EASTING, NORTHING = (METRES[axis] for axis in "xy")
+BESIDE = COLUMNS | METRES | {"lon": DEGREES["x"], "lat": DEGREES["y"], "few": ROUGH, "date": DATES}
+
+
+def shown_for(folder: Path, header: str, order: str, crs: str) -> TermselError:
+    """Return the error of a table, all of whose guesses can be read; `header` may be ""."""
+    path = folder / "table.csv"
+    rows = zip(*(BESIDE[name].tolist() for name in order.split()), strict=True)
+    path.write_text("\n".join([*filter(None, [header]), *(
+        ",".join(f"{value:.10g}" for value in row) for row in rows)]))
+    with pytest.raises(TermselError) as caught:
+        termsel.read(path, crs=crs)
+    for guess in caught.value.guesses:
+        assert len(termsel.read(path, crs=crs, columns=guess).points) == N
+    return caught.value
+
+
+@pytest.mark.parametrize("crs", ["EPSG:32619", "EPSG:4326"])
+@pytest.mark.parametrize(("header", "order"), [
+    ("Easting,Latitude,Northing,Longitude,row,col", "x lat y lon line sample"),
+    ("Breite,col,Ostwert,Hochwert,row,Länge", "lat sample x y line lon"),
+    ("y,x,Easting,Northing,Longitude,Latitude", "line sample x y lon lat"),
+    ("lat,y,N,x,E,lon", "lat line y sample x lon")])
+def test_two_pairs_of_the_ground_are_never_mixed(header: str, order: str, crs: str,
+                                                 tmp_path: Path) -> None:
+    guess, *others = shown_for(tmp_path, header, order, crs).guesses
+    name_of = dict(zip(order.split(), header.split(","), strict=True))
+    axes = ("x", "y") if crs == "EPSG:32619" else ("lon", "lat")
+    expected = {f"{meaning}={name_of[name]}" for meaning, name in zip(
+        ("line", "sample", "x", "y"), ("line", "sample", *axes), strict=True)}
+    assert set(guess.split(",")) == expected
+    assert not others
+
+
+@pytest.mark.parametrize(("order", "crs"), [
+    ("lat sample line lon z", "EPSG:4326"), ("lat sample lon line", "EPSG:4326"),
+    ("lon z line sample lat", "EPSG:4326"), ("x sample y line z", "EPSG:32619"),
+    ("z x line sample y flag", "EPSG:32619"), ("line lat sample count lon", "EPSG:4326")])
+def test_ranges_tell_the_ground_where_pairs_are_apart(order: str, crs: str,
+                                                      tmp_path: Path) -> None:
+    names = order.split()
+    guesses = shown_for(tmp_path, "", order, crs).guesses
+    x, y = ("lon", "lat") if crs == "EPSG:4326" else ("x", "y")
+    true = {f"{meaning}={names.index(name) + 1}" for meaning, name in (
+        ("line", "line"), ("sample", "sample"), ("x", x), ("y", y))}
+    assert any(true <= set(guess.split(",")) for guess in guesses), guesses
+
+
+@pytest.mark.parametrize(("header", "order"), [
+    ("a,b,c,d,e,f,g", "x line y sample flag count z"), ("a,b,c,d,e", "sample line x y flag"),
+    ("nr,a,b,c,d,e,f,g,h", "count zero sample line zero x y z flag"),
+    ("D,E,F,G,H", "flag sample line x y")])
+def test_letters_that_count_the_columns_are_no_names(header: str, order: str,
+                                                     tmp_path: Path) -> None:
+    names = header.split(",")
+    error = shown_for(tmp_path, header, order, "EPSG:32619")
+    true = {f"{meaning}={names[order.split().index(meaning)]}"
+            for meaning in ("line", "sample", "x", "y")}
+    assert any(true <= set(guess.split(",")) for guess in error.guesses), error.guesses
+    flag = names[order.split().index("flag")]
+    for guess in error.guesses:
+        assert {pair for pair in guess.split(",") if pair.endswith(f"={flag}")} <= {
+            f"enabled={flag}"}
+
+
+@pytest.mark.parametrize(("header", "order"), [
+    ("fid,foo,img_row,bar,img_col", "count x line y sample"),
+    ("row,date,col,id,p,q", "line date sample count x y"),
+    ("y_px,x_px,p,q,n_images", "line sample x y few"),
+    ("col,row,p,q,number of rays", "sample line x y few"),
+    ("A1,B1,row,col,seen", "x y line sample date"), ("k,A1,row,col,B1", "count x line sample y")])
+def test_numbering_dates_and_counts_are_no_heights(header: str, order: str,
+                                                   tmp_path: Path) -> None:
+    guesses = shown_for(tmp_path, header, order, "EPSG:32619").guesses
+    assert guesses
+    assert not any("z=" in guess for guess in guesses)
+
+
+def test_names_of_x_and_y_that_are_exchanged_give_a_guess_that_runs(tmp_path: Path) -> None:
+    header = "lat,Northing,Easting,lon,x_px,y_px"
+    error = shown_for(tmp_path, header, "lon x y lat sample line", "EPSG:32619")
+    assert error.guesses == ["line=y_px,sample=x_px,x=Northing,y=Easting"]
+    assert f"x {METRES['x'][0]:.10g}, y {METRES['y'][0]:.10g}" in str(error)
+
+
+@pytest.mark.parametrize(("header", "order"), [
+    ("Breite,x_px,y_px,east,Länge,n,north", "lat sample line x lon count y"),
+    ("n,Latitud,Longitud,row,col,Este,Norte", "count lat lon line sample x y")])
+def test_a_column_n_beside_other_northings_numbers_the_points(header: str, order: str,
+                                                              tmp_path: Path) -> None:
+    for crs in ("EPSG:32619", "EPSG:4326"):
+        for guess in shown_for(tmp_path, header, order, crs).guesses:
+            assert "y=n" not in guess.split(",")
+
+
+@pytest.mark.parametrize("first", [0, 1, 1950])
+def test_a_row_that_counts_the_columns_is_no_point(first: int, tmp_path: Path) -> None:
+    order = "sample line x y zero"
+    header = ",".join(str(first + i) for i in range(5))
+    error = shown_for(tmp_path, header, order, "EPSG:32619")
+    assert f"sample {SAMPLE[0]:.10g}" in str(error)
+    assert "line=2,sample=1,x=3,y=4" in error.guesses
 
 
 RECORDS = [{"id": 9, "map_id": 4, "x": 1145, "y": 825, "lat": "53.38", "lon": "-2.90"},

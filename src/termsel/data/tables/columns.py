@@ -173,13 +173,15 @@ def columns_by_meaning(header: Sequence[str], aliases: Aliases) -> dict[str, lis
 
     A meaning has plain names, such as line, and further ones of other programs and languages, which
     count only where no column has a plain name. Several columns of one meaning are all returned:
-    whoever asks decides whether that is an error. A number in a header is no name.
+    whoever asks decides whether that is an error. A number in a header is no name, nor is a letter
+    that counts the columns, as e does among a to g.
     """
     names_of, all_names = _folded_names_by_meaning(tuple(
         (meaning, tuple(names)) for meaning, names in aliases.items()))
     # Rows of numbers are asked about, too, to find the header: they end here.
+    counting = _letters_that_count(header)
     forms = {i: folded for i, folded in enumerate(map(_folded_forms, header))
-             if not all_names.isdisjoint(folded)}
+             if i not in counting and not all_names.isdisjoint(folded)}
     if not forms:
         return {meaning: [] for meaning in names_of}
     columns: dict[str, list[int]] = {}
@@ -191,24 +193,43 @@ def columns_by_meaning(header: Sequence[str], aliases: Aliases) -> dict[str, lis
         all_columns[meaning] = [*plain, *(i for i in further if i not in plain)]
     if {"line", "sample", "x", "y"} <= columns.keys():
         columns |= _pixels_next_to_degrees(header, all_columns)
-    # A column n without one of eastings numbers the points, and has no northings.
-    if columns.get("y") and not columns.get("x"):
+    # A column n without one of eastings, or next to other latitudes without an e, numbers the
+    # points, and has no northings.
+    has_other_pair = (len(columns.get("y", ())) > 1
+                      and all(forms[i][0] != "e" for i in columns.get("x", ())))
+    if columns.get("y") and (not columns.get("x") or has_other_pair):
         columns["y"] = [i for i in columns["y"] if forms[i][0] != "n"]
     return columns
+
+
+_LETTERS_OF_A_RUN = 4
+"""Single letters in the order of the alphabet that are no chance: x, y and z are three."""
+
+
+def _letters_that_count(header: Sequence[str]) -> set[int]:
+    """Return the columns whose names are letters that go on from column to column, as a to g do."""
+    columns_of_start: dict[int, set[int]] = {}
+    for i, name in enumerate(header):
+        letter = name.strip().casefold()
+        if len(letter) == 1 and "a" <= letter <= "w":
+            # Columns of one run would have the same letter before the first column.
+            columns_of_start.setdefault(ord(letter) - i, set()).add(i)
+    runs = [columns for columns in columns_of_start.values() if len(columns) >= _LETTERS_OF_A_RUN]
+    return set().union(*runs)
 
 
 def _pixels_next_to_degrees(header: Sequence[str],
                             named: Mapping[str, list[int]]) -> dict[str, list[int]]:
     """Return the columns by meaning if x and y are pixels next to degrees, as MapWarper has them.
 
-    They are if each of x, y, lon and lat has one column, and no column is called line or sample. If
-    not, no columns are returned.
+    They are if each of x and y has one column, each of lon and lat one or more, and no column is
+    called line or sample. If not, no columns are returned.
     """
     plain = {axis: [i for i in named[axis] if header[i].strip().casefold() == axis]
              for axis in "xy"}
     ground = {axis: [i for i in named[axis] if i not in plain[axis]] for axis in "xy"}
-    if named["line"] or named["sample"] or any(
-            len(columns) != 1 for part in (plain, ground) for columns in part.values()):
+    if named["line"] or named["sample"] or not all(ground.values()) or any(
+            len(columns) != 1 for columns in plain.values()):
         return {}
     return {"sample": plain["x"], "line": plain["y"], "x": ground["x"], "y": ground["y"]}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from termsel.data.coordinates.crs import short_crs_name
 from termsel.data.features import FloatArray
 from termsel.data.tables.columns import (
     COMMA,
+    COORDINATES,
     POINT,
     POINTS,
     Aliases,
@@ -62,8 +64,15 @@ _BEYOND_IMAGES = 1e5
 _WIDEST_SCENE = 10.0
 """Degrees that a scene spans less than; an image spans more pixels."""
 
+_UNLIKE_SPANS = 1e3
+"""Ratio of what two columns span that x and y of one scene do not reach."""
+
 _SMALL = 9.0
 """Numbers below this may be residuals or scores as well as heights."""
+
+_X_AND_Y_DECLARED = re.compile(r"x=([^,]*),y=([^,]*)")
+_X_AND_Y_SHOWN = re.compile(r"\bx ([^;]*), y ([^,;]*)")
+"""Those of a guess, and of the point that it shows."""
 
 _TINY = 1e-300
 """What takes the place of a zero that is divided by."""
@@ -71,8 +80,13 @@ _TINY = 1e-300
 _SCORES = frozenset((
     "score", "scores", "confidence", "conf", "mconf", "ncc", "cc", "corr", "correlation",
     "distance", "dist", "quality", "weight", "prob", "probability", "rms", "rmse", "residual",
-    "residuals", "resid", "error", "err", "similarity", "ssim"))
+    "residuals", "resid", "error", "err", "similarity", "ssim", "dx", "dy", "gsd"))
 """Names of columns that say how good a match or a point is."""
+_NO_COORDINATE = re.compile(
+    r"(n|no|nr|num|number|count|anzahl)[_ .](of[_ ])?[^\W\d]{3,}|(fid|oid|ogc_fid|objectid|count|"
+    r"date|datum|fecha|data|day|time|timestamp|year|jahr|año|ano|epoch|дата|日期|日付)",
+    re.IGNORECASE)
+"""Names of columns that count or date: n_images, no of rays, fid, date."""
 _WORDS_ACROSS = frozenset(("x", "col", "column", "cols", "列", "横"))
 _WORDS_DOWN = frozenset(("y", "row", "rows", "行", "纵"))
 """Words in names of columns that say along which axis they run."""
@@ -95,13 +109,16 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
     # Readings are of points: a table of lines has too many ways.
     if "line" not in aliases or "x" not in aliases:
         return error
-    scores = [i for i, name in enumerate(header) if fold_name(name) in _SCORES]
+    scores = [i for i, name in enumerate(header)
+              if fold_name(name) in _SCORES or _NO_COORDINATE.fullmatch(name.strip())]
+    numbers = _number_columns([row for row in rows[:_ROWS] if len(row) == len(header)])
+    known_columns = {meaning: i for meaning, i in known_columns.items()
+                     if meaning not in COORDINATES or i not in numbers or not _is_flag(numbers[i])}
     readings = []
     for meanings in _ways_to_take_names(header, known_columns):
         for reading in _possible_readings(rows, len(header), meanings, scores):
             readings.append({**reading, **meanings})
     readings = _by_axes_in_names(readings, header)
-    numbers = _number_columns([row for row in rows[:_ROWS] if len(row) == len(header)])
     in_image = [reading for reading in readings if _is_in_an_image(numbers, reading)]
     complete = [reading for reading in in_image if reading.keys() >= _REQUIRED]
     if names_may_mislead and not any(_shows_ground(numbers, reading) for reading in complete):
@@ -224,15 +241,23 @@ def keep_readable_guesses(error: TermselError,
                           fitness: Callable[[str], int]) -> TermselError:
     """Return an error with the first of its guesses by which the file can be read best.
 
-    Where it can be read by none, the first guesses stay, as something else may be wrong. `fitness`
-    takes a text of --columns, and is larger the better the file can be read so.
+    Where it can be read by none, but with x and y exchanged, the guesses are exchanged; else the
+    first guesses stay, as something else may be wrong. `fitness` takes a text of --columns, and is
+    larger the better the file can be read so.
     """
+    earlier_hint = (error.hint or "").partition(_DECLARE)[0]
     values = [fitness(guess) for guess in error.guesses]
+    if max(values) == 0:
+        exchanged = [_X_AND_Y_DECLARED.sub(r"x=\2,y=\1", guess) for guess in error.guesses]
+        values_of_exchanged = [fitness(guess) for guess in exchanged]
+        if max(values_of_exchanged) > 0:
+            values = values_of_exchanged
+            points = [_X_AND_Y_SHOWN.sub(r"x \2, y \1", point) for point in error.first_points]
+            _put_guesses(error, earlier_hint, exchanged, points)
     readable = [i for i, value in enumerate(values) if value == max(values)]
     # Nobody would compare more of them.
     readable = readable[:MOST_GUESSES]
     if 0 < len(readable) < len(error.guesses):
-        earlier_hint = (error.hint or "").partition(_DECLARE)[0]
         _put_guesses(error, earlier_hint, [error.guesses[i] for i in readable],
                      [error.first_points[i] for i in readable])
     return error
@@ -253,7 +278,42 @@ def with_both_readings(error: TermselError, header: Sequence[str], rows: Sequenc
         return with_advice(error, header, rows, first_columns, aliases, fixed)
     by_first = {meaning: columns[0] for meaning, columns in columns_of.items()}
     by_second = {meaning: columns[:2][-1] for meaning, columns in columns_of.items()}
-    return _with_readings(error, header, rows, [by_first, by_second], {}, aliases, fixed)
+    numbers = _number_columns([row for row in rows[:_ROWS] if len(row) == len(header)])
+    pairs = _pairs_of_the_ground(numbers, columns_of["x"], columns_of["y"])
+    readings = []
+    for k, (x, y) in enumerate(pairs):
+        readings.append({**(by_second if k else by_first), "x": x, "y": y})
+    if len(pairs) == 1 and by_second != by_first:
+        readings.append({**by_second, "x": pairs[0][0], "y": pairs[0][1]})
+    distinct = [reading for k, reading in enumerate(readings) if reading not in readings[:k]]
+    return _with_readings(error, header, rows, distinct, {}, aliases, fixed)
+
+
+def _pairs_of_the_ground(numbers: Mapping[int, FloatArray], xs: Sequence[int],
+                         ys: Sequence[int]) -> list[tuple[int, int]]:
+    """Return the columns of x and of y that belong together, of several that have these names.
+
+    x and y of one scene span about as much; degrees next to metres differ by five powers of ten. Of
+    pairs that are alike the first of x goes with the first of y, and a column is in one pair as far
+    as others are left.
+    """
+    pairs = sorted(product(xs, ys), key=lambda pair: xs.index(pair[0]) != ys.index(pair[1]))
+    alike = [pair for pair in pairs if _span_alike(numbers, *pair)] or pairs
+    chosen = [alike[0]]
+    for pair in alike[1:]:
+        if not {i for other in chosen for i in other} & set(pair):
+            chosen.append(pair)
+    # Two columns of x and one of y leave the choice between two pairs.
+    return chosen if len(chosen) > 1 or min(len(xs), len(ys)) > 1 else alike
+
+
+def _span_alike(numbers: Mapping[int, FloatArray], x: int, y: int) -> bool:
+    """Return whether two columns of numbers may be x and y of one scene, by what they span."""
+    if x not in numbers or y not in numbers:
+        return False
+    smaller, larger = sorted(
+        max(float(np.nanmax(numbers[i]) - np.nanmin(numbers[i])), _TINY) for i in (x, y))
+    return larger < _UNLIKE_SPANS * smaller
 
 
 def _with_readings(error: TermselError, header: Sequence[str], rows: Sequence[Sequence[str]],
@@ -490,11 +550,13 @@ def _possible_readings(rows: Sequence[Sequence[str]], width: int, known_columns:
     rows = [row for row in rows[:_ROWS] if len(row) == width]
     numbers = {i: column for i, column in _number_columns(rows).items()
                if i not in known_columns.values() and i not in scores}
-    extra = _id_and_flags(rows, numbers, {*known_columns.values(), *scores},
-                          has_id="id" in known_columns, has_flag="enabled" in known_columns)
-    candidates = _without_scores({
-        i: column for i, column in numbers.items()
-        if i not in extra.values() and np.nanmin(column) < np.nanmax(column)})
+    extra = _id_and_flags(rows, numbers, known_columns, scores)
+    free = {i: column for i, column in numbers.items() if i not in extra.values()
+            and np.nanmin(column) < np.nanmax(column) and not _is_flag(column)}
+    no_numbering = {i: column for i, column in free.items() if not _counts_rows(column)}
+    if len(no_numbering) >= len(_REQUIRED - known_columns.keys()):
+        free = no_numbering
+    candidates = _without_scores(free)
     coordinates = known_columns.keys() & {"line", "sample", "x", "y", "z"}
     if not coordinates and len(candidates) in (4, 5):
         with_pairs = _readings_of_pairs(candidates)
@@ -510,7 +572,9 @@ def _possible_readings(rows: Sequence[Sequence[str]], width: int, known_columns:
     for names in (missing, [name for name in missing if name != "z"]):
         # With more columns than meanings any reading would be a guess at random.
         if names and len(candidates) == len(names):
-            return [extra | reading for reading in _readings_with_missing(names, list(candidates))]
+            readings = [reading for reading in _readings_with_missing(names, list(candidates))
+                        if "z" not in reading or _may_be_heights(candidates[reading["z"]])]
+            return [extra | reading for reading in readings] or [extra]
     return [extra]
 
 
@@ -532,13 +596,17 @@ def _without_scores(numbers: dict[int, FloatArray]) -> dict[int, FloatArray]:
 
 
 def _id_and_flags(rows: Sequence[Sequence[str]], numbers: Mapping[int, FloatArray],
-                  excluded: Collection[int], *, has_id: bool, has_flag: bool) -> dict[str, int]:
+                  known_columns: Mapping[str, int], excluded: Collection[int],
+                  ) -> dict[str, int]:
     """Return the columns of "id" and "enabled" that the cells show, as far as there are any.
 
     Ids are numbers that count the rows in the first column, or texts that are all different.
     Flags are numbers 0 and 1; of zeros alone no point would be left, so these are none. Columns
-    among the `excluded` have another meaning; nothing is looked for that the table has already.
+    among the `known_columns` or `excluded` have another meaning; nothing is looked for that the
+    table has already.
     """
+    fewest = len(_REQUIRED - known_columns.keys())
+    excluded = {*known_columns.values(), *excluded}
     extra: dict[str, int] = {}
     texts = []
     for i, cells in enumerate(zip(*rows, strict=True)):
@@ -546,19 +614,28 @@ def _id_and_flags(rows: Sequence[Sequence[str]], numbers: Mapping[int, FloatArra
         if (i not in numbers and i not in excluded and len(set(cells)) == len(cells)
                 and not any(Path(cell).suffix.lower() in RASTERS for cell in cells)):
             texts.append(i)
-    if not has_id:
+    if "id" not in known_columns:
         first_numbers = next(iter(numbers), None)
-        # Of four columns of numbers none can be spared: each is a coordinate.
-        if first_numbers is not None and len(numbers) > len(_REQUIRED) and _counts_rows(
+        # Where as many columns are left as coordinates are missing, none can be spared.
+        if first_numbers is not None and len(numbers) > fewest and _counts_rows(
                 numbers[first_numbers]):
             extra["id"] = first_numbers
         elif texts:
             extra["id"] = texts[0]
-    flags = [i for i, column in numbers.items()
-             if np.isin(column, (0.0, 1.0)).all() and column.any()]
-    if flags and not has_flag:
+    flags = [i for i, column in numbers.items() if _is_flag(column)]
+    if flags and "enabled" not in known_columns:
         extra["enabled"] = flags[-1]
     return extra
+
+
+def _is_flag(column: FloatArray) -> bool:
+    """Return whether a column (n,) has numbers 0 and 1 alone, and not only zeros."""
+    return bool(np.isin(column, (0.0, 1.0)).all() and column.any())
+
+
+def _may_be_heights(column: FloatArray) -> bool:
+    """Return whether numbers (n,) may be heights: within those of the Earth, and no numbering."""
+    return bool(np.nanmax(np.abs(column)) <= _HIGHEST) and not _counts_rows(column)
 
 
 def _counts_rows(column: FloatArray) -> bool:
@@ -597,7 +674,8 @@ def _readings_of_one_pair(numbers: Mapping[int, FloatArray], candidates: Collect
     is_upright = _upright_columns(numbers, pairs[image], pairs[ground]) == image
     names = missing if is_upright else missing[::-1]
     unexplained = [i for i in candidates if i not in explained]
-    has_height = len(unexplained) == 1 and "z" not in known_columns
+    has_height = (len(unexplained) == 1 and "z" not in known_columns
+                  and _may_be_heights(numbers[unexplained[0]]))
     heights = {"z": unexplained[0]} if has_height else {}
     return [dict(zip(order, explained, strict=True)) | heights for order in (names, names[::-1])]
 
@@ -627,6 +705,29 @@ def _readings_of_pairs(numbers: Mapping[int, FloatArray]) -> list[dict[str, int]
     One to four readings come back, those with x before y first. `numbers` are the columns of
     numbers (n,), by their index.
     """
+    by_ranges = _ground_by_ranges(numbers)
+    divisions = ([_division_around(numbers, by_ranges)] if by_ranges
+                 else _divisions_of_neighbours(numbers))
+    readings = []
+    for image, ground in divisions:
+        names = _upright_columns(numbers, image, ground)
+        mirrored = ("x", "y", "z"), ("y", "x", "z")
+        for axes, order in zip(mirrored, (names, names[::-1]), strict=True):
+            reading = dict(zip(axes, ground, strict=False)) | dict(zip(order, image, strict=True))
+            # No latitude exceeds 90 degrees.
+            if (np.nanmax(np.abs(numbers[reading["y"]])) <= 90.0
+                    or not _are_degrees(numbers, ground[:2])):
+                readings.append(reading)
+    # Sample before line and x before y is how most programs write them.
+    return sorted(readings, key=lambda reading: reading["x"] > reading["y"])
+
+
+def _divisions_of_neighbours(numbers: Mapping[int, FloatArray],
+                             ) -> list[tuple[list[int], list[int]]]:
+    """Return the ways to divide four or five columns into the image and the ground with heights.
+
+    Columns of a pair lie next to each other in them. The likeliest comes first.
+    """
     free = list(numbers)
     height: list[int] = []
     if len(free) == 5:
@@ -642,28 +743,45 @@ def _readings_of_pairs(numbers: Mapping[int, FloatArray]) -> list[dict[str, int]
     first_is_ground = _is_ground(numbers, in_pairs[:2])
     last_is_ground = _is_ground(numbers, in_pairs[2:])
     if first_is_ground != last_is_ground:
-        divisions = [if_image_first if last_is_ground else if_ground_first]
-    elif height == free[2:3]:
-        divisions = [if_ground_first]
-    elif not height:
+        return [if_image_first if last_is_ground else if_ground_first]
+    if height == free[2:3]:
+        return [if_ground_first]
+    if not height:
         # Either both pairs are pixels, of two images, or the ground has numbers as small as pixels.
-        divisions = [if_image_first, if_ground_first]
-    elif height == free[4:]:
-        divisions = [if_image_first]
-    else:
-        divisions = [if_ground_first, if_image_first]
-    readings = []
-    for image, ground in divisions:
-        names = _upright_columns(numbers, image, ground)
-        mirrored = ("x", "y", "z"), ("y", "x", "z")
-        for axes, order in zip(mirrored, (names, names[::-1]), strict=True):
-            reading = dict(zip(axes, ground, strict=False)) | dict(zip(order, image, strict=True))
-            # No latitude exceeds 90 degrees.
-            if (np.nanmax(np.abs(numbers[reading["y"]])) <= 90.0
-                    or not _are_degrees(numbers, ground[:2])):
-                readings.append(reading)
-    # Sample before line and x before y is how most programs write them.
-    return sorted(readings, key=lambda reading: reading["x"] > reading["y"])
+        return [if_image_first, if_ground_first]
+    if height == free[4:]:
+        return [if_image_first]
+    return [if_ground_first, if_image_first]
+
+
+def _ground_by_ranges(numbers: Mapping[int, FloatArray]) -> list[int]:
+    """Return the two columns that only the ground can be, by their ranges; else an empty list.
+
+    They are beyond the pixels of images, or degrees within one place next to columns that span
+    more. Three columns of small numbers leave it open unless one of them is free of the others.
+    """
+    beyond = [i for i, column in numbers.items() if np.nanmax(np.abs(column)) > _BEYOND_IMAGES]
+    narrow = [i for i, column in numbers.items()
+              if np.nanmax(np.abs(column)) <= 180.0 and np.ptp(column) < _WIDEST_SCENE]
+    if len(narrow) > 2:
+        narrow = [i for i in narrow if _share_explained(numbers, i) > _BELONGS]
+    pairs = [pair for pair in (beyond, narrow) if len(pair) == 2]
+    return pairs[0] if pairs and _is_ground(numbers, pairs[0]) else []
+
+
+def _division_around(numbers: Mapping[int, FloatArray], ground: Sequence[int],
+                     ) -> tuple[list[int], list[int]]:
+    """Return the columns of the image, and those of the ground with heights; two are known.
+
+    Of three others, a height is the one that the ground explains least.
+    """
+    others = [i for i in numbers if i not in ground]
+    if len(others) == 2:
+        return others, list(ground)
+    low = [i for i in others if _may_be_heights(numbers[i])] or others
+    height = min(low, key=lambda i: _share_explained({j: numbers[j] for j in (*ground, i)}, i))
+    image = [i for i in others if i != height]
+    return image, [*ground, *([height] if _may_be_heights(numbers[height]) else [])]
 
 
 def _upright_columns(numbers: Mapping[int, FloatArray], image: Sequence[int],

@@ -381,11 +381,14 @@ def rows_of_records(records: Sequence[Mapping[str, Any]], row_name: str,
 
 
 def counts_columns(row: Sequence[str]) -> bool:
-    """Return whether a row counts columns from 0, as pandas heads columns without names."""
+    """Return whether a row counts columns, from 0 as pandas heads those without names, or years."""
     numbers = [cell.strip() for cell in row]
     # The column of the index has no name.
     numbers = numbers[1:] if numbers and not numbers[0] else numbers
-    return len(numbers) > 3 and numbers == [str(i) for i in range(len(numbers))]
+    if len(numbers) <= 3 or not all(cell.isdecimal() for cell in numbers):
+        return False
+    first = int(numbers[0])
+    return numbers == [str(first + i) for i in range(len(numbers))]
 
 
 def without_header(cells: Cells, stated: Mapping[str, str]) -> Cells:
