@@ -67,6 +67,9 @@ _WIDEST_SCENE = 10.0
 _UNLIKE_SPANS = 1e3
 """Ratio of what two columns span that x and y of one scene do not reach."""
 
+_FEWEST_OF_FLAGS = 2
+"""Points of which no column that is named as a coordinate is taken for flags."""
+
 _SMALL = 9.0
 """Numbers below this may be residuals or scores as well as heights."""
 
@@ -112,8 +115,11 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
     scores = [i for i, name in enumerate(header)
               if fold_name(name) in _SCORES or _NO_COORDINATE.fullmatch(name.strip())]
     numbers = _number_columns([row for row in rows[:_ROWS] if len(row) == len(header)])
-    known_columns = {meaning: i for meaning, i in known_columns.items()
-                     if meaning not in COORDINATES or i not in numbers or not _is_flag(numbers[i])}
+    # Of one or two points a coordinate may well be 0 or 1.
+    if len(rows) > _FEWEST_OF_FLAGS:
+        known_columns = {
+            meaning: i for meaning, i in known_columns.items()
+            if meaning not in COORDINATES or i not in numbers or not _is_flag(numbers[i])}
     readings = []
     for meanings in _ways_to_take_names(header, known_columns):
         for reading in _possible_readings(rows, len(header), meanings, scores):
