@@ -237,6 +237,9 @@ BAD_WORDS = {
     "option of another model": (
         ["--problem", "rfm-terms", "--set", "degree=2"],
         "'degree' is an option of the model poly2d or poly3d"),
+    "option of models with and without heights": (
+        ["--problem", "rfm-terms", "--set", "degree=2"],
+        "Choose --model poly3d, or poly2d for points without heights, or leave degree out."),
     "not KEY=VALUE": (["--problem", "rfm-terms", "--set", "order"],
                       "--set 'order' is not of the form KEY=VALUE. For example --set population="),
     "set twice": (["--problem", "rfm-terms", "--set", "order=1", "--set", "order=2"],

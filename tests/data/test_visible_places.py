@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -98,3 +100,16 @@ def test_fits_and_results_give_the_visible_place_on_a_surface(is_raster: bool) -
         assert hill(visible[:, :2]) == pytest.approx(visible[:, 2], abs=2e-3)
         # Seen places stay where they are.
         assert fit.locate(oblique(control), surface) == pytest.approx(control, abs=2e-2)
+
+
+def test_a_raster_that_is_not_opened_is_told_how(tmp_path: Path) -> None:
+    result = termsel.run(features=termsel.simulate_scene("spot-isfahan", n_points=12))
+    raster = tmp_path / "dem.tif"
+    for height in ("dem.tif", raster, termsel.open_dem(raster, "EPSG:4979")):
+        for either in (result.locate, result.fit.locate):
+            with pytest.raises(termsel.TermselError) as caught:
+                either([[200.0, 200.0]], height)
+            assert "with termsel.open_dem('FILE', 'EPSG:4979') as dem: " in str(caught.value.hint)
+    with pytest.raises(termsel.TermselError, match="expected numbers, or a function"):
+        result.locate([[200.0, 200.0]], {"a": 1})
+    assert result.locate([[200.0, 200.0]], [0.0]).shape == (1, 3)

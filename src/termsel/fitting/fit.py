@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict, dataclass, is_dataclass, replace
 from functools import cached_property
+from os import PathLike
 from typing import ClassVar, Protocol
 
 import numpy as np
@@ -16,7 +18,7 @@ from termsel.adjustment.interpolation import Interpolation
 from termsel.adjustment.solve import ROUNDING, Adjustment
 from termsel.core.arguments import explains_arguments
 from termsel.core.display import Glance
-from termsel.core.errors import TermselError
+from termsel.core.errors import TermselError, shown_value
 from termsel.core.threads import one_blas_thread
 from termsel.data.arrays import numbers_or_nan
 from termsel.data.coordinates.crs import is_geocentric
@@ -668,7 +670,7 @@ class Fit(Glance):
         image[~np.isfinite(coordinates).all(axis=1)] = np.nan
         return image
 
-    @explains_arguments()
+    @explains_arguments(checked_within=("heights",))
     def locate(self, image: ArrayLike, heights: ArrayLike | Surface) -> FloatArray:
         """Return the ground points seen at image points.
 
@@ -689,10 +691,10 @@ class Fit(Glance):
         Raises
         ------
         TermselError
-            If an array has another shape.
+            If an array has another shape, and for a file that is not opened.
         """
         image = numbers_or_nan(image)
-        surface = unmasked(heights) if callable(heights) else numbers_or_nan(heights)
+        surface = _surface_of(heights, self.control.crs)
         ground = self._where_rays_meet(image, surface)
         known = self.model.known_image()
         if known is not None:
@@ -899,3 +901,23 @@ def _errors_by_refitting(fitted: Fit) -> tuple[tuple[FloatArray, ...], bool]:
 def _surface_in_plane(surface: Surface, to_control: Callable[[FloatArray], FloatArray]) -> Surface:
     """Return a surface that takes the coordinates of a fit, which become those of the control."""
     return lambda plan: surface(to_control(np.pad(plan, ((0, 0), (0, 1))))[:, :2])
+
+
+def _surface_of(heights: ArrayLike | Surface, crs: str) -> FloatArray | Surface:
+    """Return heights as an array, or as the function that they are.
+
+    Raises TermselError for the name of a raster, for one that is not opened, and for what has no
+    heights; the remedy opens a raster for ground coordinates in `crs`.
+    """
+    # What opens a file may be called, too, as a decorator is.
+    if not isinstance(heights, AbstractContextManager) and callable(heights):
+        return unmasked(heights)
+    problem = "expected numbers, or a function such as an open DEM"
+    if not isinstance(heights, AbstractContextManager | str | PathLike):
+        with suppress(TypeError, ValueError):
+            return numbers_or_nan(heights)
+        raise TermselError(f"the heights are {shown_value(heights)}, {problem}")
+    given = "not open yet" if isinstance(heights, AbstractContextManager) else shown_value(heights)
+    raise TermselError(f"the heights are {given}, {problem}",
+                       hint=f"Open it: with termsel.open_dem('FILE', {crs!r}) as dem: "
+                            "result.locate(image, dem)")

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from termsel.core.arguments import explains_arguments
 from termsel.core.errors import (
     GIS,
     TermselError,
@@ -291,13 +292,14 @@ def looks_like_heights(path: Path) -> bool:
         return False
 
 
+@explains_arguments()
 @contextmanager
-def open_dem(path: Path, crs: str) -> Iterator[Dem]:
+def open_dem(path: Path | str, crs: str) -> Iterator[Dem]:
     """Open a raster of heights for ground coordinates in a CRS.
 
     Parameters
     ----------
-    path : pathlib.Path
+    path : pathlib.Path or str
     crs : str
         CRS of the ground coordinates. Heights are converted to its unit, and to its vertical datum
         where the raster declares another one; without a vertical axis it has ellipsoidal heights
@@ -327,6 +329,7 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
     ...         type(dem).__name__
     'Dem'
     """
+    path = Path(path)
     if crs == LOCAL:
         raise TermselError("a raster gives heights only to ground coordinates with a "
                            "CRS", file=path,

@@ -302,7 +302,7 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         own = self.exported.sigma(ground, measured=measured)
         return np.asarray(np.hypot(own, self.shared_sigma or 0.0))
 
-    @explains_arguments()
+    @explains_arguments(checked_within=("height",))
     def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
         """Return the ground points seen at image points, by the exported fit.
 
@@ -319,6 +319,11 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         -------
         ndarray, shape (n, 3)
             X, Y and Z in the CRS of the control; NaN where the ray meets no ground.
+
+        Raises
+        ------
+        TermselError
+            If an array has another shape, and for a file that is not opened.
         """
         return self.exported.locate(image, height)
 

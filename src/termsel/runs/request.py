@@ -377,7 +377,8 @@ def _refuse_of_others(settings: Mapping[str, Any], names: Collection[str]) -> No
             raise TermselError(
                 f"{key!r} is an option of the {role} {' or '.join([first, *others[:2]])}, which "
                 "this run does not use",
-                hint=f"{_option_of_files(key)}Choose --{role} {first}, or leave {key} out.",
+                hint=f"{_option_of_files(key)}{_choice_of(role, [first, *others])}, or leave {key} "
+                     "out.",
                 name=key)
         near = get_close_matches(key, [*names, *owners], n=1, cutoff=_MISSPELT)
         if near and near[0] not in names:
@@ -401,6 +402,20 @@ def _option_of_files(key: str) -> str:
 
 _MISSPELT = 0.8
 """Share of matching characters from which on an option of another part is taken for misspelt."""
+
+
+def _choice_of(role: str, names: Sequence[str]) -> str:
+    """Return which part that has an option to choose, of the criteria, models or solvers `names`.
+
+    Of models with and without heights one of each is named, as they differ in what the points show.
+    """
+    if role == "model":
+        entries = {entry.name: entry.object for entry in registry().entries("models")}
+        with_heights = [name for name in names if entries[name].uses_height]
+        without = [name for name in names if name not in with_heights]
+        if with_heights and without:
+            return (f"Choose --model {with_heights[0]}, or {without[0]} for points without heights")
+    return f"Choose --{role} {names[0]}"
 
 
 def owners_of_options() -> dict[str, list[str]]:
