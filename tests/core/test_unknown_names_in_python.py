@@ -208,7 +208,8 @@ RESULT = termsel.run("poly-terms", generations=1)
     (lambda: termsel.write_rpc("a.RPB", "b.RPB"), "rpc is 'a.RPB', expected a termsel.Rpc"),
     (lambda: termsel.rpc_of(5), "fitted is 5, expected a termsel.Fit"),
     (lambda: RESULT.project("here"), "ground is 'here', expected an array of numbers"),
-    (lambda: RESULT.locate([[1.0, 2.0]], "high"), "height is 'high', expected an array of numbers"),
+    (lambda: RESULT.locate([[1.0, 2.0]], "high"),
+     "the heights are 'high', expected numbers, or a function such as an open DEM"),
     (lambda: RESULT.fit.rmse([1.0]), "points is of the type list, expected a termsel.Points. "
                                      "termsel.read(FILE).points makes one"),
     (lambda: termsel.to_pymoo("poly-terms"), "expected a termsel.Problem. termsel.prepare(")])
