@@ -81,8 +81,8 @@ def correction_grid(kinds: Iterable[int], usual: float = USUAL_PX, *,
     """Return all corrections of some kinds on a grid of size, share and noise, with their priors.
 
     `kinds` are numbers in `CORRECTION_KINDS`; `usual` [px] is the noise that `NOISES` multiply.
-    `scattered` says whether points show the noise by their scatter. If not
-    all kinds are given, the probabilities do not sum to 1; `Belief` normalises them.
+    `scattered` says whether points show the noise by their scatter. If not all kinds are given, the
+    probabilities do not sum to 1; `Belief` normalises them.
     """
     parts = []
     for kind in kinds:
