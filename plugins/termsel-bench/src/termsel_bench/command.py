@@ -88,8 +88,10 @@ def bench(method_names: tuple[str, ...], solvers: tuple[str, ...], problem: str 
         raise TermselError(f"{named[0]} goes with no method and no other task",
                            hint="Give it with --sets or --quick alone; --check also with "
                                 "--package, which says what code of the results may run.")
-    # A check repeats the sets that its file names, of either suite.
-    if suite == "measured" and checked is None:
+    # A check repeats the sets that its files name, of either suite.
+    if checked is not None:
+        sys.exit(_check(checked, pattern, processes, trusted, quick=quick))
+    if suite == "measured":
         names = _measured_sets_like(pattern, quick=quick)
     else:
         names = _simulated_sets_like(pattern, quick=quick)
@@ -97,8 +99,6 @@ def bench(method_names: tuple[str, ...], solvers: tuple[str, ...], problem: str 
         _write_measured(files, names, overwrite=overwrite)
     elif files is not None:
         _write_files(files, names, overwrite=overwrite)
-    elif checked is not None:
-        sys.exit(_check(checked, pattern, processes, trusted))
     else:
         _run(methods, names, real, processes, scheduler, folder, overwrite=overwrite)
 
@@ -153,14 +153,10 @@ def _measured_sets_like(pattern: str, *, quick: bool) -> list[str]:
 
     Raises TermselError if there is none.
     """
-    from termsel_bench.scenes.measured import SOURCES, measured_names
+    from termsel_bench.scenes.measured import first_of_each_kind, measured_names
 
     names = measured_names(pattern)
-    if not quick:
-        return names
-    names_by_kind = [[name for name in names if name.startswith(source.kind)]
-                     for source in SOURCES]
-    return [kind_names[0] for kind_names in names_by_kind if kind_names]
+    return first_of_each_kind(names) if quick else names
 
 
 def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, processes: int,
@@ -279,14 +275,16 @@ def _write_measured(folder: Path, names: Sequence[str], *, overwrite: bool) -> N
     echo(f"{len(names)} sets are in {folder}.")
 
 
-def _check(folder: Path, pattern: str, processes: int, packages: Sequence[str]) -> int:
+def _check(folder: Path, pattern: str, processes: int, packages: Sequence[str], *,
+           quick: bool) -> int:
     """Run the methods of the results in a folder again, and print the verdicts.
 
-    Returns the exit code: `REFUTED` if a result is refuted, so that scripts notice, else 0.
+    Only sets whose names contain `pattern` are repeated; if quick, only those of --quick. Returns
+    the exit code: `REFUTED` if a result is refuted, so that scripts notice, else 0.
     """
     from termsel_bench.submitted import check, read_submitted
 
-    checks = [check(checked, pattern, processes=processes)
+    checks = [check(checked, pattern, quick=quick, processes=processes)
               for checked in read_submitted(folder, packages)]
     print_table(("file", "method", "sets", "largest difference", "verdict"), [
         (checked.submitted.path.name, checked.submitted.method.title, str(checked.repeated),

@@ -15,8 +15,8 @@ from termsel.toolkit import read_text
 from termsel.toolkit.runs import exception_in_words
 from termsel_bench.methods.base import METHOD_KINDS, Method
 from termsel_bench.protocol import Score, score_all
-from termsel_bench.scenes.catalogue import SETS, frozen_checksums
-from termsel_bench.scenes.measured import checksums_of_measured
+from termsel_bench.scenes.catalogue import QUICK, SETS, frozen_checksums
+from termsel_bench.scenes.measured import checksums_of_measured, first_of_each_kind
 
 SUBMISSION_SCHEMA = "termsel-bench-1"
 
@@ -148,18 +148,26 @@ def _read(path: Path, packages: Sequence[str]) -> Submitted:
     return Submitted(path, method, rmse)
 
 
-def check(submitted: Submitted, pattern: str = "", *, processes: int = 1) -> Checked:
+def check(submitted: Submitted, pattern: str = "", *, quick: bool = False,
+          processes: int = 1) -> Checked:
     """Run a method again on its sets whose names contain a text, and return the comparison.
+
+    If quick, only those are run again that ``termsel bench --quick`` runs, of either suite.
 
     Raises
     ------
     TermselError
-        If the method is not installed, or none of its sets has the text.
+        If the method is not installed, or none of its sets has the text, or none is a quick one.
     """
     names = [name for name in submitted.rmse if pattern in name]
     if not names:
         raise TermselError(f"{submitted.path} has no set {pattern!r}",
                            hint=f"It has {', '.join(submitted.rmse)}.")
+    if quick:
+        of_quick = {*QUICK, *first_of_each_kind(names)}
+        names = [name for name in names if name in of_quick]
+        if not names:
+            raise TermselError(f"{submitted.path} has no set of --quick", hint="Leave --quick out.")
     refuted = []
     worst = 0.0
     for repeated_score in score_all([submitted.method], names, processes=processes):

@@ -126,6 +126,13 @@ def measured_names(pattern: str = "") -> list[str]:
     return names
 
 
+def first_of_each_kind(names: Sequence[str]) -> list[str]:
+    """Return the first set of each kind among the names of measured sets."""
+    names_by_kind = [[name for name in names if name.startswith(source.kind)]
+                     for source in SOURCES]
+    return [kind_names[0] for kind_names in names_by_kind if kind_names]
+
+
 @lru_cache(maxsize=2)  # each method of a benchmark asks for the same set
 def read_measured_set(name: str) -> MeasuredSet:
     """Return a measured set.
