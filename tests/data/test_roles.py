@@ -333,5 +333,7 @@ def test_a_smaller_figure_of_another_model_has_a_reason_and_a_command(
     gains = {"field": 0.0, "cubic": gain}
     assert verdict_on_choice(1.0, 0.6, "cubic", gains, at_points=at_points) == words
     # One that was asked for was not chosen, and a small difference is not worth a command.
-    assert verdict_on_choice(1.0, 0.6, "cubic", {"field": 0.0}) == "40 % smaller"
+    assert verdict_on_choice(1.0, 0.6, "cubic", {"field": 0.0}) == (
+        "40 % smaller; take --method cubic in its place")
+    assert verdict_on_choice(1.0, 0.9, "cubic", {"field": 0.0}) == "10 % smaller"
     assert "--method" not in verdict_on_choice(1.0, 0.9, "cubic", gains, at_points=at_points)

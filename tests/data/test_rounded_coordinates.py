@@ -9,6 +9,7 @@ import pytest
 
 import termsel
 from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.results.first_screen import next_step_for_user
 
 SAID = "as if rounded"
 
@@ -53,3 +54,25 @@ def test_lines_of_a_graticule_are_round_and_no_fault(
     columns, rows = np.meshgrid(np.arange(6.0), np.arange(5.0))
     ground = np.column_stack([columns.ravel(), rows.ravel()]) * step + middle
     assert not notes(map_of(ground, crs, step / 300.0))
+
+
+def test_lines_of_a_lattice_are_no_rounding_whatever_the_errors() -> None:
+    """Steps of 8 thousandths are no chance: a wrong model is then not excused by few decimals."""
+    columns, rows = np.meshgrid(np.arange(6.0), np.arange(5.0))
+    ground = np.column_stack([columns.ravel(), rows.ravel()]) * 0.008 + (48.5, 34.8)
+    features = map_of(ground, "EPSG:4326", 0.008 / 73.0)
+    bent = features.points.image + np.sin(features.points.image[:, ::-1] / 40.0) * 4.0
+    assert not notes(features.with_(points=replace(features.points, image=bent)))
+
+
+def test_where_rounding_alone_ruins_a_map_decimals_come_next() -> None:
+    ground = np.random.default_rng(1).uniform(-1, 1, (30, 2)) * 0.05 + (8.0, 47.0)
+    points = map_of(ground, "EPSG:4326", 0.05 / 900.0).points
+    coarse = points.ground.copy()
+    coarse[:, 1] = np.round(coarse[:, 1], 2)
+    result = termsel.run(features=FeatureSet(replace(points, ground=coarse), crs="EPSG:4326"))
+    note, = [note for note in result.notes if SAID in note]
+    # x has all its decimals: it is not to be corrected.
+    assert note.startswith("y is a multiple of 0.01 degrees")
+    assert "Take it from the source" in note
+    assert "Next: take the coordinates with more decimals" in next_step_for_user(result.record)

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from msgspec import convert
 
+from termsel.data.record.cautions import MIRRORED
 from termsel.data.record.figures import is_determined_exactly
 from termsel.data.record.record import Record
 from termsel.results.first_screen import SCREEN_LINES
@@ -177,7 +178,8 @@ def test_where_nothing_fits_no_check_point_is_blamed() -> None:
     lines = first_screen(**scattered)
     assert "not detectable: no model fits these points; check the columns" in " ".join(lines)
     assert "C96" not in " ".join(lines)
-    assert next_step("r", **scattered).startswith("Next: correct the columns, the units or the CRS")
+    assert next_step("r", **scattered).startswith(
+        "Next: correct the columns, the units, the CRS or the rows")
 
 
 def test_notes_that_do_not_fit_are_counted() -> None:
@@ -310,3 +312,19 @@ def test_a_camera_as_stated_that_free_ones_fit_better_than_is_doubted(
                 "camera as stated 0.50 px") in screen
     assert ("as stated" in screen) == bool(says)
     assert says in screen
+
+
+def test_outliers_among_points_that_nothing_fits_do_not_hide_it() -> None:
+    scattered = {"accuracy": accuracy(160.0, 24), "blunder_test": outlier_test(900.0),
+                 "outliers": [outlier("C12", 519.0, True), outlier("C40", 400.0, False)]}
+    screen = " ".join(" ".join(first_screen(**scattered)).split())
+    assert "Outliers no model fits these points; check the columns, the units, the CRS" in screen
+    assert "all points are of this image, one in each row" in screen
+    assert "C12" in screen
+
+
+@pytest.mark.parametrize("direction", ["Line numbers grow to the north",
+                                       "Sample numbers grow to the west"])
+def test_an_image_that_mirrors_the_map_is_mended_before_it_is_reported(direction: str) -> None:
+    notes = [f"{direction}{MIRRORED}does x have the wrong sign?"]
+    assert next_step("r", notes=notes).startswith("Next: correct the axis that mirrors the map")

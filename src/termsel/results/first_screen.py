@@ -16,7 +16,7 @@ from termsel.core.errors import (
     rounded_size_text,
 )
 from termsel.data.coordinates.crs import LOCAL, is_geographic, short_crs_name
-from termsel.data.record.cautions import BEYOND_RPC, SWAPPED_IMAGE
+from termsel.data.record.cautions import BEYOND_RPC, MIRRORED, ROUNDED, SWAPPED_IMAGE
 from termsel.data.record.figures import (
     EXACTLY,
     FEW_EVALUATIONS,
@@ -129,6 +129,10 @@ def _brief_facts(record: Record, brief: int) -> list[Fact]:
         compared = compared[:1]
         search = search[:1]
     outliers = _outlier_count_line(record) if brief >= 2 else outlier_lines(record)
+    # Outliers may be found among features that nothing fits, which matters more than they do.
+    if record.outliers and does_nothing_fit(record) and not may_be_shifted(record) and (
+            fit_that_works(record) is None):
+        outliers = [_no_model_in_words(record), *outliers]
     return [*_facts_on_data(record, brief), Fact(""), Fact(_model_in_words(record), "Model"),
             *_label_facts("Accuracy", accuracy_lines(record)), *_label_facts("Outliers", outliers),
             *_label_facts("Compared", compared), *_label_facts("Search", search)]
@@ -458,14 +462,27 @@ def _no_outlier_clause(record: Record) -> str:
                 f"{record.data.counts.word}, which {BY_NAME[rival.name].title} fits to "
                 f"{rounded_size_text(size)} px")
     if nothing_fits:
-        return (f"not detectable: no model fits these {record.data.counts.word}; check the "
-                "columns, the units and the CRS")
+        return f"not detectable: {_no_model_in_words(record)}"
     if is_blind or test.limit is None:
         return f"not detectable by this model among {features}"
     if test.limit > _BLUNT * test.extent:
         return (f"none found among {features}; below {rounded_size_text(test.limit)} px most "
                 "cannot be detected")
     return f"none among {features}"
+
+
+def _no_model_in_words(record: Record) -> str:
+    """Return that no model fits, and what may be wrong with the data."""
+    word = record.data.counts.word
+    why = ("x and y have too few decimals" if _note_with(record, ROUNDED) else
+           f"check the columns, the units, the CRS, and that all {word} are of this image, one in "
+           "each row")
+    return f"no model fits these {word}; {why}"
+
+
+def _note_with(record: Record, words: str) -> str:
+    """Return the first note of a record that has some words in it; "" if none has."""
+    return next((note for note in record.notes if words in note), "")
 
 
 def _uses_rpc(record: Record) -> bool:
@@ -837,7 +854,8 @@ def options_of_next_run(record: Record) -> dict[str, str]:
     # data is in a projection that was found already.
     is_like_a_map = (read is not None and not read.lines and read.without_height == read.points
                      and record.data.fit_crs == record.data.crs)
-    if is_like_a_map and is_geographic(record.data.crs) and does_nothing_fit(record):
+    if (is_like_a_map and is_geographic(record.data.crs) and does_nothing_fit(record)
+            and not _note_with(record, ROUNDED)):
         return {"--crs": "auto"}
     return {}
 
@@ -862,8 +880,13 @@ def next_step_for_user(record: Record, folder: str = "", command: str = "",
     if fit_that_works(record):
         return ("Next: give the RPC of this image, or leave it out" if _uses_rpc(record)
                 else "Next: leave the model out, and one is chosen that fits")
+    if _note_with(record, ROUNDED):
+        return "Next: take the coordinates with more decimals from their source, then run again"
     if does_nothing_fit(record):
-        return "Next: correct the columns, the units or the CRS, then run again"
+        return "Next: correct the columns, the units, the CRS or the rows, then run again"
+    if _note_with(record, MIRRORED):
+        return ("Next: correct the axis that mirrors the map, then run again; not where the image "
+                "itself is mirrored")
     if are_errors_large(record):
         word = record.data.counts.word
         return f"Next: check the {word}, their columns, units and CRS, then run again"

@@ -58,7 +58,8 @@ def verdict_on_choice(own_rmse: float, rival_rmse: float, rival: str,
     smaller = smaller_in_words(own_rmse, rival_rmse)
     # Where a method was asked for, nothing else was on offer.
     if len(gains) <= 1:
-        return smaller
+        is_worth_it = len(gains) == 1 and rival in BY_NAME and own_rmse > CHANCE * rival_rmse
+        return f"{smaller}; take --method {rival} in its place" if is_worth_it else smaller
     # The best of several has the smallest figure partly by luck, so one must be surer than that. A
     # choice asks for that; the user need not.
     gain = gains.get(rival) or 0.0

@@ -36,7 +36,7 @@ from termsel.data.fit_data import (
     errors_hide_heights,
     relief_carriers,
 )
-from termsel.data.record.cautions import EXTRAPOLATION, ON_ONE_LINE, TWO_DATUMS
+from termsel.data.record.cautions import EXTRAPOLATION, ON_ONE_LINE, ROUNDED, TWO_DATUMS
 from termsel.data.roles import Observations, find_twins, twin_groups
 from termsel.data.rpc import CHECK_HEIGHTS, Rpc
 from termsel.fitting.extrapolation import corners_of
@@ -448,6 +448,9 @@ COARSEST, FINEST = 5, -7
 """Powers of ten between which steps of coordinates are looked for: 100 km, and far below a metre in
 degrees."""
 
+FAR_FINER = 0.11
+"""Share of the coarser step, below which the other coordinate is not the one to correct."""
+
 NOTICEABLE_ROUNDING = 1.0
 """Error [px] by rounding from which on it matters."""
 
@@ -471,23 +474,31 @@ def note_on_rounding(features: FeatureSet, errors: FloatArray) -> str:
     columns = np.column_stack([np.ones(len(plan)), plan - plan.mean(axis=0)])
     to_image = np.linalg.lstsq(columns, points.image, rcond=None)[0][1:]
     rounding = float(np.linalg.norm(steps[:, None] * to_image)) / np.sqrt(12.0)
-    typical_error = float(np.median(np.linalg.norm(errors, axis=1)))
+    rmse = float(np.sqrt(np.square(errors).sum(axis=1).mean()))
     least, most = AS_LARGE_AS_ROUNDING
-    if rounding < NOTICEABLE_ROUNDING or not least <= typical_error / rounding <= most:
+    if rounding < NOTICEABLE_ROUNDING or not least <= rmse / rounding <= most:
         return ""
     unit = " degrees" if is_in_degrees(features.crs) else ""
-    return (f"x and y are multiples of {steps.max():g}{unit}, as if rounded: that alone is an "
-            f"error of some {rounded_size_text(rounding)} px. Take them from their source with "
-            "more decimals.")
+    coarse = steps >= FAR_FINER * steps.max()
+    names = "x and y are multiples" if coarse.all() else f"{'xy'[coarse.argmax()]} is a multiple"
+    them = "them" if coarse.all() else "it"
+    return (f"{names} of {steps.max():g}{unit}{ROUNDED}that alone is an error of some "
+            f"{rounded_size_text(rounding)} px. Take {them} from the source with more decimals.")
 
 
 def _step_of(values: FloatArray) -> float:
-    """Return the largest power of ten of which all values (n,) are multiples; 0 if none is."""
+    """Return the largest power of ten of which all values (n,) are multiples; 0 if none is.
+
+    It is 0, too, for lines of a lattice, which are further multiples apart: by chance rounded
+    values would not be.
+    """
     tolerance = 1e-9 * float(np.abs(values).max(initial=1.0))
     for power in range(COARSEST, FINEST, -1):
         step = 10.0**power
-        if (np.abs(values - step * np.round(values / step)) <= tolerance).all():
-            return step
+        counts = np.round(values / step)
+        if (np.abs(values - step * counts) <= tolerance).all():
+            apart = np.gcd.reduce((counts - counts[0]).astype(np.int64))
+            return 0.0 if apart > 1 else step
     return 0.0
 
 

@@ -32,7 +32,7 @@ from termsel.data.coordinates.longitudes import unwrap_longitudes, without_jump
 from termsel.data.coordinates.metres import has_compass_axes, metric_crs, offsets_in_metres
 from termsel.data.coordinates.places import lattice_of
 from termsel.data.features import FeatureSet, FloatArray
-from termsel.data.record.cautions import SWAPPED_GROUND, SWAPPED_IMAGE
+from termsel.data.record.cautions import MIRRORED, SWAPPED_GROUND, SWAPPED_IMAGE
 from termsel.data.record.chances import median_of
 
 log = logging.getLogger(__name__)
@@ -112,7 +112,7 @@ def note_on_turned(features: FeatureSet) -> str:
                       "of them have the wrong sign.")
         else:
             remedy = "does x have the wrong sign, or are x and y swapped?"
-        return (f"{direction}, so that a map would be mirrored: {remedy} Only a radar image, or a "
+        return (f"{direction}{MIRRORED}{remedy} Only a radar image, or a "
                 "scan of the back of a film, is so.")
     if not is_declared and _is_mirrored_plane(features):
         return ("the image mirrors the plane of x and y, as where y points down in both. If it "

@@ -32,6 +32,12 @@ BESIDE_CONTROL = " close beside control points"
 BEYOND_RPC = ", are outside those of the RPC, "
 """What a note has in it on control whose heights the RPC does not have."""
 
+ROUNDED = ", as if rounded: "
+"""What a note has in it on coordinates with too few decimals."""
+
+MIRRORED = ", so that a map would be mirrored: "
+"""What a note has in it on an image whose lines or samples seem to run the other way."""
+
 SWAPPED_GROUND = "x and y look swapped"
 SWAPPED_IMAGE = "line and sample look swapped"
 """How a doubt begins on axes of the ground, or of the image."""
