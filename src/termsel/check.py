@@ -69,12 +69,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def check(path: str | Path) -> tuple[list[str], int]:
     """Return what a certificate proves, in lines, and how many selections stay open.
 
-    Raises Refused for a file that is no certificate, was changed, or has a step that does not hold.
+    Raises Refused for a file that cannot be read, is no certificate, was changed, or has a step
+    that does not hold.
     """
     try:
         return _proven_lines(json.loads(_read_certificate(Path(path))))
     except OSError as error:
         raise Refused(f"cannot be read ({error.strerror})") from error
+    # The file may be anything: whatever its content breaks on the way, it is no certificate.
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError,
             OverflowError, RecursionError) as error:
         raise Refused(f"is not a certificate of the form {CERTIFICATE_SCHEMA} "
@@ -414,9 +416,12 @@ class Axis:
 
     def _extent_of_lines(self, node: Node, spheres: Any,
                          lines: Sequence[int]) -> tuple[bool, list[int]] | None:
-        """Return whether s'z = 1 is out of reach, and else the largest values of some lines.
+        """Return whether s'z = 1 is out of reach, and else the largest values of some `lines`.
 
-        These are in units of 1 / UPPER, rounded up. Returns None if nothing is proven.
+        These are in units of 1 / UPPER, rounded up. `spheres` are the certificate's multipliers of
+        the columns in `node.rest`: a list with one for each, or a number for all. They may be
+        wrong: whatever they are, what is returned is proven. Returns None if they prove nothing.
+        Raises ValueError for a multiplier that is no finite number.
         """
         if type(spheres) is not list:
             spheres = [spheres] * len(node.rest)

@@ -129,10 +129,14 @@ def _sum_blocks(blocks: FloatArray, features: BoolArray, total: FloatArray) -> N
 @compile_lazily
 def _triangularise_sum(total: FloatArray, triangle: FloatArray, lower: FloatArray,
                        source: FloatArray) -> float:
-    """Turn summed blocks into k rows with the same solutions; return their condition.
+    """Turn the summed blocks of an individual into k rows with the same solutions.
 
-    The condition is tr(G) tr(G^-1), which is at least that of G; infinite if G is not positive
-    definite.
+    `total` (w,) is the sum, G = Q_s'Q_s packed with Q_s'b (see `blocks_of`), and `triangle` (k, k)
+    is R of all rows. The rows are written to `source` (k, k + 2): L'R, with G = L L', and the
+    right-hand side L^-1 Q_s'b in column k; column k + 1 stays. `lower` (k, k) is scratch for L.
+
+    Returns the condition tr(G) tr(G^-1), which is at least that of G; infinite, with rows that are
+    of no use, if G is not positive definite.
     """
     k = len(triangle)
     # Cholesky's triangle of G, row by row as the blocks are packed; L^-1 of the right-hand side.

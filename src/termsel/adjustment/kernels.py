@@ -236,12 +236,14 @@ def _solve_population(panels: FloatArray, reflections: Reflections, source: Floa
                       triangular: bool, feature: IntArray, rows: UintArray, columns: UintArray,
                       heights: IntArray, terms: BoolArray, features: BoolArray, tolerance: float,
                       longest: float, coefficients: FloatArray, violation: IntArray) -> None:
-    """Solve a population; rows, columns and heights are work space.
+    """Solve the systems that the p individuals of a population select.
 
-    Each individual selects columns by `terms` (p, k) and rows by the features of `features` (p, n).
-    The selected system is copied into panels and factored by Householder reflections; `violation`
-    receives how many terms are dependent, and where none is, `coefficients` the solution. `longest`
-    and `tolerance` say what counts as dependent; all other arrays are work space.
+    `source` (m, k + 2) has the columns, the right-hand side and zeros; row i is of the feature
+    number `feature[i]`, and if `triangular` column j has zeros below row j. An individual selects
+    columns by `terms` (p, k) and rows by the features of `features` (p, n). The selected system is
+    copied into `panels` and factored by Householder `reflections`. `violation` (p,) receives how
+    many terms are dependent, and where none is, `coefficients` (p, k) the solution. `tolerance` and
+    `longest` are as for `_eliminate`. `rows`, `columns` and `heights` are work space, too.
     """
     k = terms.shape[1]
     for individual in range(len(terms)):

@@ -50,8 +50,9 @@ def _fill_squares(design: FloatArray, image: FloatArray, sets: BoolArray, triang
                   squares: FloatArray, pivots: FloatArray) -> None:
     """Fill in `squares` (m, n) of `squared_distances_from_fits`, and the least pivots (m,).
 
-    `sets` (m, n) are masks of the points that each fit uses. Scratch are `triangle` (k, k), `right`
-    and `solution` (2, k), and `residuals` (n, 2).
+    `design` (n, k) and `image` (n, 2) are those of all points; `sets` (m, n) are masks of the
+    points that each fit uses. Scratch are `triangle` (k, k), `right` and `solution` (2, k), and
+    `residuals` (n, 2).
     """
     n, k = design.shape
     for number in range(len(sets)):

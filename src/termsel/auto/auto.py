@@ -513,7 +513,11 @@ class Auto(Method):
                          choice: Choice | None) -> Callable[[BoolArray], Fit | None]:
         """Return a function that makes the choice without the features of a mask (n,).
 
-        That function returns the fit of the method chosen, None if too few features remain.
+        That function returns the fit of the method that the remaining features choose. If none of
+        those compared has a prior, it is the method that all features choose, fitted to those that
+        remain: few of them choose by luck. Lines alone have no such second choice. None is returned
+        if nothing can be fitted. `choice` is that of all features; if it is not given, it is made
+        where it is needed.
         """
         features = data.features
         if self.is_one_method:
@@ -525,10 +529,7 @@ class Auto(Method):
         fewest = self.fewest(data)
 
         def fit_without(excluded: BoolArray) -> Fit | None:
-            """Return the fit of the method chosen without some features; None if too few remain.
-
-            `excluded` (n,) marks the features left out.
-            """
+            """Return the fit without the features of the mask `excluded` (n,)."""
             remaining = _features_without(data, excluded)
             choice = None
             if len(remaining) >= fewest:

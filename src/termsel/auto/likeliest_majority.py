@@ -201,9 +201,10 @@ class Likelihoods:
                                    points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return which scales and which noise have the largest evidence for each set, (m,) each.
 
-        They are numbers of rows of `scales` and of entries of `noises`. `values` (m, s, k) and `z`
-        (m, s, k, 2) are the w and z of `judge`, `squares` (m,) the sums b'b of both coordinates,
-        `points` (m,) how many points are in the sets.
+        They are numbers of rows of `scales` and of entries of `noises`. With the design A of a set
+        and the deviations S of the coefficients, S A'A S is V w V' with the eigenvalues w, `values`
+        (m, s, k). `z` (m, s, k, 2) is V' S A'b for the image b of line and of sample, `squares`
+        (m,) the sums b'b of both, and `points` (m,) how many points are in the sets.
         """
         # The evidence is the density of b as normal with the covariance C = A S^2 A' + s^2:
         # log |C| = sum log(1 + w / s^2) + n log s^2, b' C^-1 b = (b'b - sum z^2 / (w + s^2)) / s^2.

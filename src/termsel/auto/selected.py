@@ -219,11 +219,15 @@ def _select_terms(rows: FloatArray, lengths: FloatArray, equations: FloatArray,
                   best_value: FloatArray) -> None:
     """Mark in `best` (s, k) the terms of the least criterion on the way of forward selection.
 
-    `rows` (s, r, k + 1) are columns and targets without what the forced terms explain; what
-    further terms explain is taken from them as these enter. `lengths` (s, k) are those of the
-    columns before that. `penalties` and `bounds` (counts, s) are by the number of terms added:
-    what the criterion adds, and its value if all terms were in. Sums of squares are at least the
-    `smallest` (s,). `chosen` (s, k), `work` (2, k) and `best_value` (s,) are scratch.
+    s systems are worked on side by side, and end together. `rows` (s, r, k + 1) are columns and
+    targets without what the forced terms explain; what further terms explain is taken from them, in
+    place, as these enter. `lengths` (s, k) are those of the columns before that, `equations` (s,)
+    the numbers of equations. `penalties` and `bounds` (counts, s) are by the number of terms added:
+    what the criterion adds, and a value that it cannot fall below, as if all terms were in. Sums of
+    squares are at least the `smallest` (s,).
+
+    `best` and `chosen` (s, k), the terms that have entered, begin as False, and `best_value` (s,),
+    the least criterion, as infinity; `work` (2, k) is scratch.
     """
     # The criterion of n equations with the sum of squares S is n log(S / n) + penalty.
     count, m, width = rows.shape
@@ -231,7 +235,7 @@ def _select_terms(rows: FloatArray, lengths: FloatArray, equations: FloatArray,
     squares, products = work
     for added in range(len(penalties)):
         settled = True  # whether no more terms can lower any criterion
-        exhausted = False  # whether some system has no more terms
+        exhausted = False  # whether some system has no more terms that are independent
         for s in range(count):
             unexplained = 0.0
             for i in range(m):

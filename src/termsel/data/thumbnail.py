@@ -22,9 +22,12 @@ THUMBNAIL_SIDE = 1000
 
 def make_thumbnail(path: Path | str, expected: tuple[int, int] | None = None,
                    ) -> tuple[str, tuple[int, int]]:
-    """Return an image as a small grey JPEG in a data URL, and its lines and samples.
+    """Return an image as a small grey JPEG in a data URL, and its lines and samples [px].
 
-    Raises TermselError if it has another size than `expected`.
+    The JPEG shows the first band, with `THUMBNAIL_SIDE` pixels along the longer side at most, and
+    grey values stretched from the darkest to the brightest after 2 % at either end. Lines and
+    samples are those of the whole image. Raises TermselError if they are not `expected`, if the
+    file is no raster, or if it claims to be far larger than what it holds.
     """
     rasterio = require_rasterio()
     with open_raster(path) as raster:

@@ -50,8 +50,9 @@ NUMBERS = range(8, 5001)  # fewer errors show nothing, and for more the test has
 def chances_if_normal(errors: FloatArray) -> tuple[float, float] | None:
     """Return the chance that normal errors look so little normal, for each column of (n, 2).
 
-    Returns None for a number that is not one of NUMBERS, and where the errors of a column are
-    equal.
+    It is that of the test of Shapiro and Wilk 1965, as Royston 1995 computes it (Applied Statistics
+    44(4), algorithm AS R94). Returns None for a number that is not one of NUMBERS, and where the
+    errors of a column are equal.
     """
     n = len(errors)
     if n not in NUMBERS or not np.ptp(errors, axis=0).all():
@@ -185,9 +186,10 @@ def predict_rmse_of_fit(fitted: Fit, errors: FloatArray, points: int,
                         ground: FloatArray | None = None) -> Predicted:
     """Return the RMSE that held-out errors [px] (n, 2) predict for a fit (see `predict_rmse`).
 
-    Where the `ground` (m, 3) of the points to come is given, it is the RMSE at their heights, even
-    if these are unlike the control's. Where points state unlike standard deviations, squares are
-    averaged by their weights.
+    `points` is the number of independent points, 0 for places without number. Where the `ground`
+    (m, 3) of the points to come is given, it is the RMSE at their heights, even if these are unlike
+    the control's. Where points state unlike standard deviations, squares are averaged by their
+    weights.
     """
     in_use = fitted.control.take(fitted.used)
     is_weighted = has_unlike_weights(in_use.points) and len(in_use.points) == len(errors)

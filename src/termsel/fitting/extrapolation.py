@@ -94,8 +94,8 @@ def variance_by_heights(used: FeatureSet, scaling: Scaling,
 def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator[str]:
     """Yield sentences on selection points and image corners far outside the control, if any.
 
-    The mask `used` (n,) marks the features of the control that are in the adjustment; others do not
-    count.
+    Selection points far above or below all control are named, too. The mask `used` (n,) marks the
+    features of the control that are in the adjustment; others do not count.
     """
     control_centres = feature_centres(control)[used]
     groups = []

@@ -545,11 +545,12 @@ class Fit(Glance):
         return sigma
 
     def mean_square_errors(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the mean square errors of places (m, 3) and of a measurement, scaled.
+        """Return the mean square errors of places (m, 3) and of a measurement.
 
-        Where `local_courses` follow the error between control points, the mean squares are theirs.
-        Else they are the estimator's variance plus what the model misses. With camera courses they
-        are a mean of both, weighted by `share_of_courses`.
+        `ground` is in the CRS of the fit, mean squares are in scaled image coordinates. Where
+        `local_courses` follow the error between control points, the mean squares are theirs. Else
+        they are the estimator's variance plus what the model misses. With camera courses they are a
+        mean of both, weighted by `share_of_courses`.
 
         Returns
         -------

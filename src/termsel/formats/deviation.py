@@ -118,12 +118,13 @@ def say_measured(name: str) -> None:
 
 def say_nearest_transformation(name: str, fitted: Fit, xy: FloatArray, image: FloatArray,
                                labels: Mapping[str, str], ending: str) -> str | None:
-    """Log which transformation through measured GCPs (n, 2) is nearest to the model, and how near.
+    """Log which transformation through measured GCPs is nearest to the model, and how near.
 
-    Returns the key of the simplest one that is as near as the nearest; None if the GCPs determine
-    none, or the model shows no ground. `labels` are what a program calls the transformations that
-    it offers, such as `QGIS` and `GDALWARP`, the simplest first; `ending` is the rest of the
-    sentence, with ``{}`` for the label.
+    `xy` and `image` (n, 2) are where the GCPs are on the ground and in the image [px]. Returns the
+    key of the simplest one that is as near as the nearest; None if the GCPs determine none, or the
+    model shows no ground. `labels` are what a program calls the transformations that it offers,
+    such as `QGIS` and `GDALWARP`, the simplest first; `ending` is the rest of the sentence, with
+    ``{}`` for the label.
     """
     sky = sky_said(fitted)
     if sky:

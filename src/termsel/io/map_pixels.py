@@ -403,9 +403,9 @@ def _warp_tile(raster: Any, spec: MapPixels, shape: tuple[int, int], crs: str, t
                options: Mapping[str, Any]) -> tuple[Values, Mask]:
     """Return a tile of the map (bands, lines, samples), alpha last, and where it shows the image.
 
-    GDAL computes the positions itself here, by the RPC of the image, as for `termsel rectify
-    --engine gdal`. `transform` places the tile in `crs`; `options` are further ones of the warper.
-    Bands whose value for "no data" differs are warped one by one.
+    GDAL computes the positions itself here, by the RPC in `raster`. `transform` places the tile in
+    `crs`; `options` are further ones of the warper. Bands whose value for "no data" differs are
+    warped one by one.
     """
     import rasterio
     from rasterio.enums import Resampling

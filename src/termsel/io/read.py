@@ -516,12 +516,12 @@ def _refuse_own_folder(path: Path) -> None:
 
 
 def _refuse_other_content(path: Path, head: bytes) -> None:
-    """Raise TermselError for a web page, other XML, GeoJSON of other geometry, and damaged JSON.
+    """Raise TermselError for settings, web pages, XML, JSON of other content, and damaged JSON.
 
     No reader recognises the file, and a general message would help nobody: its first bytes, `head`,
     may show what it is. A failed download is a web page, metadata of an image are JSON or XML, and
-    GeoJSON may have polygons. Any file called .toml is one of
-    settings. Files of any other content pass.
+    GeoJSON may have polygons. Any file called .toml is one of settings. Files of any other content
+    pass.
     """
     text = head.decode("utf-8-sig", errors="replace").lstrip()
     if path.suffix.lower() == ".toml":

@@ -196,7 +196,8 @@ def _fill_pixels(pixels: Any, has_data: Any, first_line: int, first_sample: int,
     pixels, has_data : window of the image (bands, rows, columns), which begins at first_line and
         first_sample
     positions : of the map's pixels in the image (m, n, 2), NaN for none
-    kernel, radius : resampling and its reach [px], widened by stretch_line and stretch_sample
+    kernel, radius : number of the resampling in `KERNELS`, and its reach [px], which is widened by
+        stretch_line and stretch_sample
     lines, samples : size of the whole image
     integral, low, high : whether values are rounded, and their range
     values, visible : receive the tile (bands, m, n), and where it shows the image

@@ -33,6 +33,7 @@ from termsel.fitting.accuracy import (
 from termsel.fitting.extrapolation import warnings_of
 from termsel.fitting.figures import Baseline, Rmses, finite_or_none, restrict_to_control
 from termsel.fitting.fit import Fit, Undetermined
+from termsel.fitting.method import Method
 from termsel.models.base import SensorModel
 from termsel.models.image_part import ImagePart
 from termsel.plugins.registry import registry
@@ -230,21 +231,11 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
                             gains={name: row.gain for name, row in rows.items()},
                             is_asked_for=auto.is_one_method)
 
-    parts: dict[str, object] = {"model": type(fitted.model)}
-    # A model that the user named is all that there is to be found again.
-    if not isinstance(method, NamedModel):
-        parts["method"] = method
-    # The objective of the record is what the rule of the choice compares.
-    rmse = choice.chosen.held_out_rmse
     stated = {
-        "solver": "auto", "criterion": "press", "seed": seed,
-        "options": {"problem": {}, "data": request.options["data"],
-                    "model": fitted.model.options, "solver": {}, "criterion": {}, "search": {}},
-        "plugins": plugins_of(request, **parts),
+        **_stated_of_request(request, fitted, method, seed), **_stated_of_choice(outcome),
         "reference": best_conventional(method, baselines(clean)), "notes": notes,
-        "objectives": {"press": rmse} if np.isfinite(rmse) else {}, "predicted": predicted,
-        "strategy": strategy,
-        "interrupted": outcome.interrupted, "evaluations": watch.count or len(choice.compared),
+        "predicted": predicted, "strategy": strategy,
+        "evaluations": watch.count or len(choice.compared),
         "seconds": time.perf_counter() - start, **NO_SEARCH}
     return Finding(
         fit=fitted, final=final, predicted_final=predicted_final, observations=played,
@@ -253,6 +244,30 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
         judgement=judgement, stated=stated,
         selection=Selection(select(fitted.model.terms, fitted.terms),
                             select(played.control.ids, fitted.used)))
+
+
+def _stated_of_request(request: Request, fitted: Fit, method: Method,
+                       seed: int) -> dict[str, object]:
+    """Return what the record says of the settings of a choice: options, seed, plugins.
+
+    No option of a problem, a solver or a criterion takes part in a choice.
+    """
+    parts: dict[str, object] = {"model": type(fitted.model)}
+    # A model that the user named is all that there is to be found again.
+    if not isinstance(method, NamedModel):
+        parts["method"] = method
+    return {"solver": "auto", "criterion": "press", "seed": seed,
+            "options": {"problem": {}, "data": request.options["data"],
+                        "model": fitted.model.options, "solver": {}, "criterion": {}, "search": {}},
+            "plugins": plugins_of(request, **parts)}
+
+
+def _stated_of_choice(outcome: _Chosen) -> dict[str, object]:
+    """Return what the record says of the figure of a choice, and of its end."""
+    # The objective of the record is what the rule of the choice compares.
+    rmse = outcome.choice.chosen.held_out_rmse
+    return {"objectives": {"press": rmse} if np.isfinite(rmse) else {},
+            "interrupted": outcome.interrupted}
 
 
 def _held_out_accuracy(outcome: _Chosen, clean: Observations,
@@ -468,9 +483,11 @@ def _final_fit(fitted: Fit, points: Points, heights: bool, auto: Auto,
                blunders: Collection[str]) -> Fit | None:
     """Return the chosen structure fitted to all points, independent ones included.
 
-    Selected terms stay those that were selected; what is shrunken is averaged again. Blunders among
-    independent points stay out. Returns None where there is no further point, and where the fit has
-    a pole or is not determined.
+    Selected terms stay those that were selected; what is shrunken is averaged again. Points named
+    in `blunders` stay out. `heights` says whether `fitted` is a model with heights. `auto` refits
+    it, and remembers the fit. Returns None where there is no further point, where a fit without
+    heights would get points whose heights show, where the method cannot be fitted, and where its
+    fit has a pole or is not determined.
     """
     control = fitted.control
     further = points.take([role in ASSIGNABLE and name not in blunders

@@ -31,7 +31,9 @@ def judge(conventional: str, criterion: str, rmse: Rmses, baselines: tuple[Basel
           reference: str, feasible: bool, noise: float | None, *, converged: bool = True,
           method: Method | None = None, blunders: int = 0, evaluations: int | None = None,
           has_figure: bool = True) -> str:
-    """Return one or two sentences that compare the selection with fits that need no search.
+    """Return some sentences on what a selection is worth next to fits that need no search.
+
+    If it must not be used, or independent points are missing, they say so instead.
 
     Parameters
     ----------
@@ -62,6 +64,39 @@ def judge(conventional: str, criterion: str, rmse: Rmses, baselines: tuple[Basel
     has_figure : bool
         Whether the criterion gives the selection a finite figure.
     """
+    unusable = _reason_not_to_use(criterion, evaluations, has_figure=has_figure,
+                                  converged=converged, feasible=feasible)
+    if unusable:
+        return unusable
+    # From here on the figure is the RMSE of independent points, which took no part.
+    measured = rmse["independent"]
+    if measured is None:
+        return ("There are no independent check points, so the accuracy of this selection is not "
+                f"known. The search minimised {criterion}.")
+    best = next((b for b in baselines if b.name == reference), None)
+    # Better than what fails is nothing to be proud of.
+    poor = best is not None and _error_ratio(measured.total, _independent_rmse(best)) > POOR
+    first = _sentence_on_conventional(measured.total, baselines[0], conventional, poor=poor)
+    sentences = [f"{first} at {count_in_words(measured.n, 'independent check point')}."]
+    # The rule of auto, for what the user would get without a search.
+    method = method or BY_NAME.get(reference)
+    if best is not None and method is not None:
+        sentences.append(_sentence_on_automatic_choice(measured.total, _independent_rmse(best),
+                                                       method, blunders))
+    else:
+        sentences.append("Control and selection points together determine no polynomial.")
+    if noise is not None:
+        # Both coordinates of a point have the noise, and the RMSE is that of distances.
+        sentences.append(f"Measurement noise alone gives {_px_text(noise * np.sqrt(2))}.")
+    return " ".join(sentences)
+
+
+def _reason_not_to_use(criterion: str, evaluations: int | None, *, has_figure: bool,
+                       converged: bool, feasible: bool) -> str:
+    """Return why a selection must not be used, and what to do; "" if there is no such reason.
+
+    The arguments are those of `judge`.
+    """
     if not has_figure:
         return (f"The criterion {criterion!r} {NO_FIGURE} for this selection, and none was found "
                 "that it gives one for. Do not use it: choose another criterion; if this one is "
@@ -77,47 +112,45 @@ def judge(conventional: str, criterion: str, rmse: Rmses, baselines: tuple[Basel
         return ("This selection does not satisfy all conditions, and no better one was found. It "
                 "has undetermined or too many terms, an axis without terms, or a pole in the "
                 "scene. Do not use it: measure more control points or choose a smaller model.")
-    # From here on the figure is the RMSE of independent points, which took no part.
-    measured = rmse["independent"]
-    if measured is None:
-        return ("There are no independent check points, so the accuracy of this selection is not "
-                f"known. The search minimised {criterion}.")
-    best = next((b for b in baselines if b.name == reference), None)
-    # Better than what fails is nothing to be proud of.
-    poor = best is not None and _error_ratio(measured.total, _independent_rmse(best)) > POOR
-    # A comparison with a fit that failed, or of a selection that did, flatters one of them.
-    if poor or not baselines[0].converged:
-        first = f"The RMSE of the selection is {_px_text(measured.total)}"
-        if not baselines[0].converged:
-            first += f" (the fit of {conventional} did not converge)"
-    else:
-        first = _compare("The selection is", measured.total, _independent_rmse(baselines[0]),
-                         conventional, determined=baselines[0].determined)
-    sentences = [f"{first} at {count_in_words(measured.n, 'independent check point')}."]
-    # The rule of auto, for what the user would get without a search.
-    method = method or BY_NAME.get(reference)
-    if best is not None and method is not None:
-        removed = ", outliers removed" if blunders else ""
-        title = f"{method.title} fitted to control and selection points{removed}"
-        ratio = _error_ratio(measured.total, _independent_rmse(best))
-        size = _px_text(_independent_rmse(best))
-        if ratio > ALIKE_RATIO and (blunders or not method.is_plain):
-            sentences.append(f"The automatic choice, {title}, is {times_in_words(ratio)} better "
-                             f"({size}): omit --problem, --solver and --model.")
-        elif ratio > ALIKE_RATIO:
-            sentences.append(f"A simpler model, {title}, is {times_in_words(ratio)} better "
-                             f"({size}).")
-        elif ratio > 1 / ALIKE_RATIO:
-            sentences.append(f"It is no better than the automatic choice, {title} ({size}).")
-        else:
-            sentences.append(f"It is {times_in_words(1 / ratio)} better than the automatic "
-                             f"choice, {title} "
-                             f"({size}).")
-    else:
-        sentences.append("Control and selection points together determine no polynomial.")
-    if noise is not None:
-        sentences.append(f"Measurement noise alone gives {_px_text(noise * np.sqrt(2))}.")
-    return " ".join(sentences)
+    return ""
+
+
+def _sentence_on_conventional(rmse: float, baseline: Baseline, conventional: str, *,
+                              poor: bool) -> str:
+    """Return how a selection of some RMSE [px] compares with the conventional fit `baseline`.
+
+    `conventional` says what that fit uses, such as "all lines". There is no comparison if it did
+    not converge, or if the selection itself is `poor`: it would flatter one of both. The sentence
+    has no full stop.
+    """
+    if poor or not baseline.converged:
+        sentence = f"The RMSE of the selection is {_px_text(rmse)}"
+        if not baseline.converged:
+            sentence += f" (the fit of {conventional} did not converge)"
+        return sentence
+    return _comparison_sentence("The selection is", rmse, _independent_rmse(baseline), conventional,
+                                determined=baseline.determined)
+
+
+def _sentence_on_automatic_choice(rmse: float, rmse_of_choice: float, method: Method,
+                                  blunders: int) -> str:
+    """Return how a selection compares with what the user would get without a search.
+
+    That is `method`, the automatic choice, which leaves out `blunders` features. Both RMSE are
+    those of independent points [px].
+    """
+    removed = ", outliers removed" if blunders else ""
+    title = f"{method.title} fitted to control and selection points{removed}"
+    ratio = _error_ratio(rmse, rmse_of_choice)
+    size = _px_text(rmse_of_choice)
+    if ratio > ALIKE_RATIO and (blunders or not method.is_plain):
+        return (f"The automatic choice, {title}, is {times_in_words(ratio)} better ({size}): omit "
+                "--problem, --solver and --model.")
+    if ratio > ALIKE_RATIO:
+        return f"A simpler model, {title}, is {times_in_words(ratio)} better ({size})."
+    if ratio > 1 / ALIKE_RATIO:
+        return f"It is no better than the automatic choice, {title} ({size})."
+    return f"It is {times_in_words(1 / ratio)} better than the automatic choice, {title} ({size})."
 
 
 def judge_choice(method: Method, predicted: float | None, rmse: Rmses,
@@ -241,11 +274,13 @@ def _px_text(value: float) -> str:
     return f"{rounded_size_text(value)} px"
 
 
-def _compare(start: str, rmse: float, reference: float, title: str, *, determined: bool) -> str:
-    """Return a sentence that compares an RMSE with that of a reference [px], whose name is `title`.
+def _comparison_sentence(start: str, rmse: float, reference: float, title: str, *,
+                         determined: bool) -> str:
+    """Return a sentence that compares an RMSE [px] with that of a reference named `title`.
 
-    It begins with `start`, such as the subject of the sentence. `determined` says whether the
-    reference's terms are determined; if not, the sentence says so.
+    It begins with `start`, such as "The selection is", and has no full stop. Up to `ALIKE_RATIO`
+    one of both is "no better". `determined` says whether the points determine all terms of the
+    reference; if not, the sentence calls it rank-deficient.
     """
     figures = f"({_px_text(rmse)} against {_px_text(reference)}"
     figures += ")" if determined else ", which is rank-deficient)"

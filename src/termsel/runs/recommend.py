@@ -18,8 +18,9 @@ from termsel.selection.solvers.search import SearchResult
 def with_recommended_member(task: Task, search: SearchResult) -> SearchResult:
     """Return the search with the recommended member of its front as its selection.
 
-    The rule is the problem's option "recommend". With a single objective the number of genes is the
-    second one. A search without a front is returned as it is.
+    The rule is the problem's option "recommend": best, one-standard-error, knee or ebic. With a
+    single objective the number of genes is the second one. A search without a front keeps its
+    selection; with a single objective a note says that the rule could not be followed.
     """
     rule = task.options["problem"].get("recommend", "best")
     has_one_objective = len(task.problem.objectives) < 2

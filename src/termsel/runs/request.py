@@ -298,9 +298,11 @@ def request_of(
     criterion: str | type[Criterion] | Criterion | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Request:
-    """Return the request that names, or things themselves, and options make; by default None.
+    """Return the request that the arguments of `termsel.prepare` make.
 
-    The arguments are those of `termsel.prepare`. Raises TermselError for unknown names and options.
+    Parts are given by name, as classes or as instances; None stands for what the problem has by
+    default. Raises TermselError for unknown names and options, and for options that exclude each
+    other.
     """
     names = registry()
     settings = options or {}

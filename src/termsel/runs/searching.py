@@ -296,10 +296,14 @@ def finding_of(task: Task, search: SearchResult, auto: Auto,
 
 def _files_of_search(
         task: Task, search: SearchResult, observations: Observations) -> dict[str, str]:
-    """Return further files of the result: the certificate of a proof, with the data it is of."""
+    """Return the texts of further files of the result, by name; {} without a certificate.
+
+    There is one, the certificate of the proof. The SHA-256 of the features that it holds for and
+    that of the certificate itself are entered in it.
+    """
     if search.certificate_content is None:
         return {}
-    # The checker compares this checksum with that of the result.
+    # Who checks the certificate compares this checksum with that in result.json.
     data = data_of(task.request, observations).sha256
     content = {**search.certificate_content, "data": data}
     content["sha256"] = checksum_of_certificate(content)

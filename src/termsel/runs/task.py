@@ -68,9 +68,13 @@ CORRECTED = (" Or leave the rest out: termsel run --points FILE --rpc FILE corre
 
 def require_enough(observations: Observations, criterion: Criterion, model: SensorModel,
                    fewest: int, named_off: str | None = None) -> None:
-    """Refuse data for a problem: too few features, all in one place, or lines in one direction.
+    """Refuse data for a problem, unless there are enough features and they can determine a model.
 
     `fewest` is the fewest control features; `named_off` are ids that the option off leaves out.
+    Raises TermselError for fewer, for too few selection points where the criterion needs them, and
+    for a column that holds one number. Where more than one feature is needed, it is raised as well
+    for control in one place, on one straight line of the ground, with x equal to y, or of lines
+    that are all parallel.
     """
     control = observations.control
     check = observations.check

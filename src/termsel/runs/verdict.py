@@ -56,8 +56,8 @@ def exchange_of(control: FitData) -> Exchange | None:
     Seen from above, all triangles of a plane turn in one direction, or with a mirrored image in the
     other. Where single ones turn differently, two points are exchanged or one is wrong. Each
     exchange and each omission that makes all triangles agree is tried, and the one with the
-    smallest residual of an affine fit is named. With hills, or with many points, triangles show
-    nothing.
+    smallest residual of an affine fit is named; if there is none, all points are. With hills, or
+    with many points, triangles show nothing.
     """
     count = len(control.features.points)
     if (control.heights or len(control.features.lines)

@@ -56,7 +56,9 @@ def search_without_blunders(task: Task, auto: Auto, verdict: Verdict | None = No
 def _task_without_blunders(task: Task, blunders: frozenset[str]) -> Task | None:
     """Return the task without blunders; None if too few features are left.
 
-    Points lose their role. Lines, which have none, can no longer be selected.
+    Points are left out of the observations. Lines stay in them, and can no longer be selected.
+    Features that the user has forced on or off stay as they are. A task whose problem is no
+    SelectionProblem is returned as it is.
     """
     problem = task.problem
     observations = task.observations

@@ -54,7 +54,7 @@ def pushbroom_at(
     Raises
     ------
     TermselError
-        If no such orbit reaches the latitude.
+        If no such orbit reaches the latitude, or none whose view is so oblique.
 
     Examples
     --------

@@ -97,7 +97,8 @@ def simulate_scene(
     Raises
     ------
     TermselError
-        For an unknown name, a negative number or seed, or more mismatched lines than lines.
+        For an unknown name, a negative number, noise or seed, infinite noise, more mismatched lines
+        than lines, or `roles` that are not three or stand beside `n_points`.
 
     Examples
     --------

@@ -89,7 +89,7 @@ def nearly(subject: Subject) -> None:
 
 
 def fits(subject: Subject) -> None:
-    """It is fitted to the very features it is given, and predicts finite places there."""
+    """It returns a Fit to the very features it is given, which predicts finite places there."""
     for control, fitted in subject.fits():
         require(isinstance(fitted, Fit), f"fit() returned {type(fitted).__name__}, no Fit")
         require(isinstance(getattr(fitted.estimator, "name", None), str),

@@ -434,7 +434,11 @@ def serve(session: Session, port: int, started: Callable[[str, str], None]) -> N
 
 
 async def _serve(session: Session, port: int, started: Callable[[str, str], None]) -> None:
-    """Serve the page on this machine until the task is cancelled."""
+    """Serve the page on this machine until the task is cancelled.
+
+    `started` is called with the page's address and that to open first, once requests are answered.
+    Raises TermselError for a `port` that cannot be used; 0 is any that is free.
+    """
     try:
         sockets = bind_sockets(port, address=ADDRESS)
     except OSError as error:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from termsel_app.quality import Answer, Question
 
 
-def answer_all(questions: Connection, remote: bool, drivers: Sequence[str]) -> None:
+def answer_questions(questions: Connection, remote: bool, drivers: Sequence[str]) -> None:
     """Answer questions that come through a pipe, until None comes or the pipe is closed.
 
     The answers to a question end when the next one is there. `remote` is whether servers may be
@@ -99,8 +99,8 @@ class Worker:
         # It is a process, as a fit in a thread would keep the interpreter from answering the page.
         own_end, their_end = context.Pipe()
         with safe_start():
-            self._process = context.Process(target=answer_all, args=(their_end, *self._access),
-                                            daemon=True)
+            self._process = context.Process(
+                target=answer_questions, args=(their_end, *self._access), daemon=True)
             self._process.start()
         their_end.close()
         self._pipe = own_end

@@ -104,7 +104,8 @@ class OwdisBlock(Problem):
     def __init__(self, block: Block, *, tie_candidates: int = 100, least: int = 1,
                  most: int | None = None) -> None:
         self.whole = adjust(_without_check(block))
-        self._check_design, self._check_target = _check_rows(block, self.whole)
+        self._check_design, self._check_target = _rows_of_check_points(
+            block, self.whole)
         ties = _spread_ties(self.whole, tie_candidates)
         rows = [*_control_rows(self.whole), *_tie_rows(self.whole, ties)]
         if not rows:
@@ -287,7 +288,7 @@ def _count_parameters(result: BlockResult) -> int:
     return result.adjusted.solved.reduced.slices[len(result.block.images) - 1].stop
 
 
-def _check_rows(block: Block, result: BlockResult) -> tuple[FloatArray, FloatArray]:
+def _rows_of_check_points(block: Block, result: BlockResult) -> tuple[FloatArray, FloatArray]:
     """Return the rows (n, p) of the check points of all images, and their errors (n,) [px].
 
     A row has the derivatives of line or sample by the parameters of all images; the errors are

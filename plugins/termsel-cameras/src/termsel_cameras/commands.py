@@ -194,7 +194,8 @@ def _print_choice(ranking: _Ranking, n_sheets: int, restriction: str) -> None:
 def _print_projections(ranking: _Ranking) -> None:
     """Print a table of projections, the most probable first.
 
-    Of neighbours with the same figure at most `_MAX_LISTED` are listed, the chosen one first.
+    Of neighbours with the same printed figure at most `_MAX_LISTED` are listed, the chosen one
+    first, and the others counted.
     """
     rows = [(projection.name, _figure(projection), projection.crs)
             for projection in ranking.ranked]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -142,8 +142,9 @@ def judge(
     Raises
     ------
     TermselError
-        As `match_points`; if too few candidates agree; or if there is neither a reference nor
-        candidates.
+        As `match_points`; if too few candidates agree; if there is neither a reference nor
+        candidates; if vectors cannot be read; or if an RPC is to be corrected and termsel-rpc is
+        not installed.
 
     Notes
     -----
@@ -151,11 +152,11 @@ def judge(
     decision by the error that is accepted. That at least half of the independent candidates must
     have it, and all that `evidence_of` looks at, are termsel's.
     """
+    # Whatever is wrong with the arguments is said before the matching, which takes minutes.
     if reference is None and (points is None or extent == "reference"):
         raise TermselError("the reference is not given",
                            hint="Give --reference ORTHO; only --points FILE with --extent image "
                                 "does without.")
-    # Whatever is wrong with the arguments is said before the matching, which takes minutes.
     if vectors is not None:
         read_vectors(Path(vectors))
     model, options = model_for(start, Path(image))
@@ -175,54 +176,81 @@ def judge(
         make_folder(Path(folder))
         write_points_csv(candidates.points, Path(folder) / CANDIDATES, candidates.crs)
 
-    def select_and_fit(plainer_than: ModelCorrection | None = None) -> tuple[
-            SelectedCandidates, Matched | None, str]:
-        """Return the selected candidates with their model, and the lines that are control as well.
-
-        The third is why given vectors are not used, "" if they are or there are none. Corrections
-        are tried up to the one before `plainer_than`, in the order of `supported_corrections`.
-        """
-        result_folder = None if folder is None else Path(folder) / RESULT
-        selected = select_points(candidates.features, model, options, accept=accept,
-                                 plainer_than=plainer_than, seed=seed, folder=result_folder)
-        lines = None
-        unused = ""
-        if vectors is not None:
-            at = Start("the model of the points", candidates.crs, 0.0, selected.result.project,
-                       selected.result.locate)
-            try:
-                lines = iterate_lines(image, vectors, model, options, dem=dem, start=at,
-                                      search=_SEARCH, band=matching.get("band"), seed=seed)
-                selected = with_lines(selected, lines.features, seed=seed, folder=result_folder)
-            # The points suffice for a model: lines that do not agree with them are left out.
-            except TermselError as error:
-                lines = None
-                unused = error.what
-        return selected, lines, unused
-
-    def gather_evidence(selected: SelectedCandidates) -> tuple[Evidence, Bounds | None]:
-        """Return what the candidates say of a model, and the bounds of the map."""
-        return _judge_candidates(image, reference, candidates, selected, dem=dem, extent=extent,
-                                 seed=seed, masks=matching.get("masks", ()))
-
-    selected, lines, unused = select_and_fit()
-    evidence, bounds = gather_evidence(selected)
+    chain = _Chain(
+        image, reference, candidates, model, options, dem=dem, vectors=vectors, accept=accept,
+        extent=extent, seed=seed, folder=None if folder is None else Path(folder) / RESULT,
+        band=matching.get("band"), masks=matching.get("masks", ()))
+    selected, lines, unused = chain.select_and_fit()
+    evidence, bounds = chain.evidence_on(selected)
     # A smooth correction may take any value beyond the candidates that determine it, where no
     # held-out candidate tests it. What a plainer one misses is in its standard deviation.
     while evidence.sigma > accept and selected.correction.model == "rpc-jitter":
         richest = selected.called_for or selected.correction
         try:
-            selected, lines, unused = select_and_fit(selected.correction)
+            selected, lines, unused = chain.select_and_fit(selected.correction)
         # Too few candidates agree with a plainer one: the smooth one is kept, and refused below.
         except TermselError:
             break
         selected = replace(selected, called_for=richest)
-        evidence, bounds = gather_evidence(selected)
+        evidence, bounds = chain.evidence_on(selected)
     return Georeferenced(
         candidates=candidates, selected=selected, evidence=evidence, accept=accept,
         reasons=reasons_to_reject(selected, evidence, accept),
         remarks=remarks_for_user(candidates, selected, evidence, accept),
         lines=lines, unused=unused, bounds=bounds)
+
+
+@dataclass(frozen=True, eq=False)
+class _Chain:
+    """What selection, fit and evidence are made from; the same for every correction tried.
+
+    The fields are the arguments of `judge`; `model` with its `options` is that of the search, and
+    `folder` that of the result.
+    """
+
+    image: Path | str
+    reference: Path | str | None
+    candidates: Candidates
+    model: str
+    options: Mapping[str, Any]
+    dem: Path | str
+    vectors: Path | str | None
+    accept: float  # [px]
+    extent: str
+    seed: int
+    folder: Path | None
+    band: int | None
+    masks: Sequence[Path | str]
+
+    def select_and_fit(self, plainer_than: ModelCorrection | None = None) -> tuple[
+            SelectedCandidates, Matched | None, str]:
+        """Return the selected candidates with their model, and the lines that are control as well.
+
+        The third is why given vectors are not used, "" if they are or there are none. Corrections
+        are tried up to the one before `plainer_than`, in the order of `supported_corrections`.
+        Raises TermselError if too few candidates agree.
+        """
+        selected = select_points(
+            self.candidates.features, self.model, self.options, accept=self.accept,
+            plainer_than=plainer_than, seed=self.seed, folder=self.folder)
+        if self.vectors is None:
+            return selected, None, ""
+        at = Start("the model of the points", self.candidates.crs, 0.0, selected.result.project,
+                   selected.result.locate)
+        try:
+            lines = iterate_lines(self.image, self.vectors, self.model, self.options, dem=self.dem,
+                                  start=at, search=_SEARCH, band=self.band, seed=self.seed)
+            with_both = with_lines(selected, lines.features, seed=self.seed, folder=self.folder)
+        # The points suffice for a model: lines that do not agree with them are left out.
+        except TermselError as error:
+            return selected, None, error.what
+        return with_both, lines, ""
+
+    def evidence_on(self, selected: SelectedCandidates) -> tuple[Evidence, Bounds | None]:
+        """Return what the candidates say of a model, and the bounds of the map."""
+        return _judge_candidates(
+            self.image, self.reference, self.candidates, selected, dem=self.dem,
+            extent=self.extent, seed=self.seed, masks=self.masks)
 
 
 def model_for(start: Path | str | None, image: Path) -> tuple[str, dict[str, Any]]:

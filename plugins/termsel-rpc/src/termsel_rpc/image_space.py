@@ -66,6 +66,11 @@ class RpcShift(Refinement):
     columns: ClassVar[tuple[str, ...]] = ("1",)
 
     def __init__(self, **options: Any) -> None:
+        """Take the options, and read the RPC that the option `rpc` names, if it names one.
+
+        From then on the option is the RPC itself, as JSON; only that of the embedded data set stays
+        a name. Raises TermselError for unknown options, and for an RPC that cannot be read.
+        """
         super().__init__(**options)
         # The name of the data set, the JSON of a result, or a file.
         stated = self.options["rpc"]

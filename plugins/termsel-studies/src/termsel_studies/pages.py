@@ -127,6 +127,7 @@ def _table_of_instance(groups: Groups, name: str, figures: list[Summary]) -> Tab
         header.append("ICP RMSE [px]")
     header += ["evaluations", "CPU s"]
     runs_of = groups.instances[name]
+    # Entry 2 is the median: quartiles are the least, the lower, the median, the upper, the largest.
     best = min(figures, key=lambda figure: figure.quartiles[2]).method
     rows = []
     for figure in figures:

@@ -279,10 +279,11 @@ def _bidiagonalise(matrices: FloatArray, rotation: FloatArray, diagonal: FloatAr
 def _add_evidence(diagonal: FloatArray, below: FloatArray, along: FloatArray,
                   squared_sizes: FloatArray, logs: FloatArray, squares: FloatArray,
                   work: FloatArray, solved: FloatArray) -> None:
-    """Add to `logs` (s, g) and `squares` (s, a, g) those of `evidence_of`.
+    """Add to `logs` (s, g) -log |I + s^2 B B'| / 2, and to `squares` (s, a, g) |R'^-1 U'y|^2.
 
-    `diagonal` and `below` (m, g) are of the forms, `along` (a, m, g) is U'y, `squared_sizes` (s,)
-    are s^2; `work` (4, g) and `solved` (a, g) are scratch.
+    B of each of the g groups is lower bidiagonal, with `diagonal` and `below` (m, g); R is
+    Cholesky's factor of I + s^2 B B'. `along` (a, m, g) is U'y of a axes, `squared_sizes` (s,) are
+    s^2; `work` (4, g) and `solved` (a, g) are scratch.
     """
     m, count = diagonal.shape
     rest, root, upper, product = work

@@ -187,9 +187,10 @@ def radar_views(positions: FloatArray, azimuth: float, latitude: float, *,
                 right: bool) -> tuple[FloatArray, ...]:
     """Return where c radars see m places, in images in slant range and in ground range.
 
-    Both arrays (c, m, 2) have first the time [s] at which a place is nearest. Second is, in slant
-    range, the range along the ray [m] and, in ground range, the angle at the Earth's centre [rad]
-    that a sphere at the height of the middle gives it. `positions` (m, 3) are as for
+    Of the simulated radars those count that see all places, at sines of incidence that RADAR_SINES
+    allows. Both arrays (c, m, 2) have first the time [s] at which a place is nearest. Second is, in
+    slant range, the range along the ray [m] and, in ground range, the angle at the Earth's centre
+    [rad] that a sphere at the height of the middle gives it. `positions` (m, 3) are as for
     `scanner_views`. Radars look to the right or to the left of the flight; the azimuth of lines is
     clockwise from north [rad]; the latitude is in degrees, NaN if it is not known.
     """

@@ -376,7 +376,9 @@ def fit_gaussian_process(points: Points, variables: int) -> GaussianProcess | No
 def _cached_gaussian_process(measurements: Measurements, variables: int) -> GaussianProcess | None:
     """Return the process of points; None if they are too few for it (see `polynomial_posterior`).
 
-    It is cached, since one fit asks for it many times.
+    `variables` is how many coordinates the field depends on: 2, X and Y, or 3, Z too. The process
+    averages the polynomial alone, fields of all `FIELD_LENGTHS` next to it, and in the plane a
+    spline. It is cached, since one fit asks for it many times.
     """
     points = measurements.points
     exponents = graded_exponents(FIELD_DEGREE, variables)

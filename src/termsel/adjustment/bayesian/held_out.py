@@ -240,11 +240,13 @@ def _add_products(x: FloatArray, y: FloatArray, total: FloatArray) -> None:
 def _fill_held_out_figures(line: AxisErrors, sample: AxisErrors, square: FloatArray,
                            min_square: FloatArray, weight: FloatArray, half: int, lowest: float,
                            start: int, workspace: _Workspace, figures: FloatArray) -> None:
-    """Fill rows of `figures` (n, 7): two errors, chance, statistic, two variances, logarithm.
+    """Fill rows of `figures` (n, 7), of the points from `start` on for which `workspace` has room.
 
-    They are those of the points from `start` on for which `workspace` has room. `square` and
-    `min_square` (c,) are S of the cells and the least S', `weight` (c,) is S times the probability
-    of a cell; `half` and `lowest` are as for the functions above.
+    A row has the errors of line and sample, the chance of larger ones, their mean square by their
+    variances, the variances of line and sample by that of the noise, and the logarithm of the
+    evidence of the other points by that of all. `square` and `min_square` (c,) are S of the cells
+    and the least S', `weight` (c,) is S times the probability of a cell, `half` the power h of
+    S / S', and `lowest` what the quotients of S / S' are raised to at least, lest they underflow.
     """
     of_line, of_sample, excess, share, power, sums = workspace
     m = of_line.shape[2]

@@ -137,10 +137,12 @@ class CameraPriors:
 def camera_priors(kinds: Sequence[Kind], positions: FloatArray, scaled: FloatArray,
                   exponents: Exponents, latitude: float, slopes: FloatArray,
                   pixel: float) -> CameraPriors | None:
-    """Return priors by cameras that see places (m, 3) [m], which are scaled (m, 3), too.
+    """Return priors of the coefficients of a polynomial by cameras that see the places.
 
-    Returns None if hardly any camera sees these. The slopes are those of line and of sample by
-    metres to the east and to the north, (2, 2), in scaled units; `pixel` is that of a pixel.
+    `positions` (m, 3) of the places are in metres, `scaled` (m, 3) are the same as the polynomial
+    of the `exponents` has them; `latitude` is in degrees, NaN if it is not known. The `slopes`
+    (2, 2) are those of line and of sample by metres to the east and to the north, in scaled units;
+    `pixel` is a pixel in these. Returns None if hardly any camera of the `kinds` sees the places.
     """
     # In steps, so that views of points held out are found again.
     azimuth = AZIMUTH_STEP * round(np.degrees(float(np.arctan2(*slopes[0]))) / AZIMUTH_STEP)

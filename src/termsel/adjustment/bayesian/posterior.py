@@ -159,7 +159,8 @@ def _evidence_with_shared_scales(designs: Sequence[Design], projections: FloatAr
                                  ) -> list[tuple[FloatArray, FloatArray] | None]:
     """Return log factors (g, s) and sums of squares (a, g, s) of each design, in its own basis.
 
-    One decomposition serves all groups: that of the columns which share one scale. With W what a
+    `projections` (d, m, a) are the targets y of all axes in the bases of the d designs. One
+    decomposition serves all groups: that of the columns which share one scale. With W what a
     size leaves along it, and C the few other columns times their scales, a sum of squares is
     y'W y - y'W C (I + C'W C)^-1 C'W y. A design has None in place of both where no columns share a
     scale, and where rounding errors matter, as hardly anything remains of that difference.
@@ -279,7 +280,9 @@ def _fill_likely_cells(logs_of_squares: FloatArray, line_log: FloatArray, sample
 
     The grid (g, s, s) has the logarithms of sums of squares, `logs_of_squares`, which are
     overwritten; `line_log` and `sample_log` (g, s) are what their power `half` is multiplied by.
-    All cells without terms are one, of `log_affine`. What is filled in has room for all cells.
+    All cells without terms, those of a size in `sizes` (s,) of 0, are one, of `log_affine`.
+    `of_line`, `of_sample` and `logs` are filled from the start, and have room for all cells;
+    solutions are numbered g s + number of the size.
     """
     groups, count, _ = logs_of_squares.shape
     # The log evidence of a cell is the sum of what line and sample add, less half log(squares),
@@ -457,9 +460,11 @@ def solve_posteriors(free_columns: FloatArray, shrunken: FloatArray, image: Floa
                      in_use: int | None = None, affine: bool = False) -> list[Posterior] | None:
     """Return all solutions as `solve_posterior` does, for d systems with equal free columns (n, f).
 
-    The shrunken columns are (d, n, k). The first `n_own` of them, which may be all, have scales of
-    their own; all further ones share one scale in each group. Returns None for fewer than four
-    degrees of freedom, and for dependent columns.
+    The shrunken columns are (d, n, k), with the `scales` (g, k). The first `n_own` of them, which
+    may be all, have scales of their own; all further ones share one scale in each group. `image`
+    (n, 2) has the targets, and rows are multiplied by the `weights` (n, 2), if any; `in_use` of
+    them, by default all, have a weight that matters. `affine` is as for `_grid_cells`. Returns None
+    for fewer than four degrees of freedom, and for dependent columns.
     """
     in_use = len(free_columns) if in_use is None else in_use
     freedom = 2 * (in_use - free_columns.shape[1])

@@ -442,7 +442,7 @@ def sniff_table(path: Path, head: bytes, aliases: Aliases, columns: str = "",
 def _column_by_meaning(path: Path | None, line: int | None, header: Sequence[str],
                        rows: list[list[str]], aliases: Aliases, stated: Mapping[str, int],
                        fixed: Collection[int], *, flat: bool) -> dict[str, int]:
-    """Return the number of the column of each meaning, counted from 0, without optional ones.
+    """Return the number of each meaning's column, from 0; optional ones that are missing have none.
 
     `line` is the line of the header, for errors. `stated` are the columns that the user declared,
     by meaning; `fixed` are columns that nobody can declare, such as those of a geometry. If `flat`,

@@ -108,11 +108,12 @@ def caption_on_breaks(view: View) -> str:
 
 
 def baseline_bars(view: View) -> Any:
-    """Return the RMSE of this result and of all fits without a search, with intervals.
+    """Return a chart of the RMSE [px] of this result and of the fits without a search.
 
     This result stands first, then the others by their RMSE, with a symbol for each role and its 90
     % interval. Hollow symbols are points that the fit was made with, which say nothing of its
-    accuracy.
+    accuracy. Fits that failed are left out (see `rows_of_fits`). The chart is a LayerChart of
+    altair. Raises TermselError if altair is not installed.
     """
     alt = require_altair()
     rows, _ = rows_of_fits(view)
@@ -185,8 +186,8 @@ def caption_on_others(view: View) -> str:
 def candidate_bars(view: View) -> Any:
     """Return a chart of the strategy auto's candidates, with their leave-one-out RMSE.
 
-    The best is on top. Candidates without such an RMSE are left out.
-    The record must have a strategy.
+    The best is on top. Candidates without such an RMSE are left out. The record must have a
+    strategy.
     """
     alt = require_altair()
     strategy = view.record.strategy

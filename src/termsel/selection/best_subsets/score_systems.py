@@ -312,18 +312,19 @@ class ScoreSystems:
         return limits.offset + float(self.score_of_errors(target))
 
     def score_of_errors(self, errors: FloatArray) -> FloatArray:
-        """Return the scores (...) of errors of check points.
+        """Return the scores (...) of models by their errors at the e check points.
 
         Parameters
         ----------
         errors : ndarray, shape (..., e) or (..., 2 e)
-            Of linear models e errors: the score is sum r_i^2. Of rational ones e errors r, and
-            behind them what is left of 0 less the denominators d, so that their sign is turned:
-            the score is sum (r_i / d_i)^2, infinite with any d_i below the margin.
+            Of a linear model e errors r: its score is sum r_i^2. Of a rational one the numerators r
+            of its e errors, then their denominators d with the sign turned: its score is
+            sum (r_i / d_i)^2, infinite if any d_i is below the margin.
         """
         if self.kind != RATIONAL:
             return np.asarray((errors**2).sum(axis=-1))
         e = errors.shape[-1] // 2
+        # d = 1 + sum x_j d_j is solved for like an error: of the target -1 the columns leave -d.
         denominators = -errors[..., e:]
         too_small = denominators < self.margin
         quotients = errors[..., :e] / np.where(too_small, 1.0, denominators)

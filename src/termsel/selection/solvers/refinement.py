@@ -27,6 +27,8 @@ def refine(ledger: Ledger, rng: np.random.Generator, generation: Generation | No
            evaluations: int | None, observers: Observers) -> Polish:
     """Climb from the best individual of a ledger, or search around all members of a front.
 
+    Returns the first objective before and after that, and what it took.
+
     `generation` is the last that the solver yielded, `evaluations` the budget of search and
     refinement together. Without one the refinement takes up to POLISH_SHARE times as many as the
     search; its first descent may take more, up to DESCENT. An observer may end it. The ledger keeps

@@ -158,8 +158,8 @@ def search(
 ) -> SearchResult:
     """Search a problem with a solver.
 
-    Every solver has the same budget by default. A local refinement (`polish`), which may follow
-    any of them, is part of the budget and has three quarters of it.
+    Every solver that does not end by itself has the same budget by default. A local refinement
+    (`polish`) may follow any solver: it is part of the budget, and has three quarters of it.
 
     Parameters
     ----------
@@ -287,15 +287,15 @@ def search(
     details = generation.details if generation else {}
     # With several objectives the front is made of all that was evaluated, whatever the solver says.
     front = ledger.front() if len(problem.objectives) > 1 else details.get("front", ())
-    return SearchResult(genes=ledger.best_genes, objectives=ledger.best_objectives,
-                  violation=ledger.best[0], seed=seed, evaluations=ledger.count,
-                  generations=generation.index if generation else 0, lookups=ledger.lookups,
-                  seconds=time.perf_counter() - start, interrupted=interrupted, polish=refined,
-                  certificate=details.get("certificate"), front=tuple(front),
-                  coefficients=details.get("coefficients"), notes=notes, history=tuple(history),
-                  proof=details.get("proof"),
-                  certificate_content=details.get("certificate_content"),
-                  ended_by_observer=told.ended, gains=tuple(ledger.gains))
+    return SearchResult(
+        genes=ledger.best_genes, objectives=ledger.best_objectives, violation=ledger.best[0],
+        seed=seed, evaluations=ledger.count, lookups=ledger.lookups,
+        generations=generation.index if generation else 0, seconds=time.perf_counter() - start,
+        interrupted=interrupted, ended_by_observer=told.ended, polish=refined, notes=notes,
+        history=tuple(history), gains=tuple(ledger.gains), front=tuple(front),
+        certificate=details.get("certificate"), proof=details.get("proof"),
+        certificate_content=details.get("certificate_content"),
+        coefficients=details.get("coefficients"))
 
 
 def _write_checkpoint(ledger: Ledger) -> None:

@@ -106,8 +106,8 @@ def _verdict_on_image(
 
     `row` is the image's row in the table, `accept` is the RMSE that the user asks for, and `usual`
     is the median RMSE of the batch [px]. An image is doubtful where the interval of its RMSE spans
-    the accepted size and, without one, where anything contradicts its figures. Only images that
-    auto has finished have a verdict; of other rows both texts are "".
+    the accepted size and, without one, where anything contradicts its figures; where auto has
+    failed it is unfit. Rows that wait, and those of searches, have no verdict: both texts are "".
     """
     if row["strategy"] != "auto" or row["state"] == "waiting":
         return "", ""

@@ -166,7 +166,7 @@ class _Run(Steps):
             moved = float(self.moved().max(initial=0.0))
             settled = True
             if step >= _WIDENED_STEPS and (not self.large or step == _WIDENED_STEPS):
-                settled = self.estimate(robust)
+                settled = self.estimate_deviations(robust)
             if step > _WIDENED_STEPS and moved < CONVERGED and settled:
                 self.converged = True
                 return step + 1
@@ -230,7 +230,7 @@ class _Run(Steps):
             state.variances[i] = np.where(is_known, state.variances[i], 1 / precision)
         return [integrated.draws[:, columns] for columns in loose.reduced.slices[:-1]]
 
-    def estimate(self, robust: bool) -> bool:
+    def estimate_deviations(self, robust: bool) -> bool:
         """Estimate the variances of ties, control, heights and parameters from the last solution.
 
         Each is a sum of weighted squares over its redundancy, with corrections for robust weights

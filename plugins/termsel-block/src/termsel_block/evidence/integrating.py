@@ -160,16 +160,23 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
 
 def _unknown_variances(cameras: Sequence[Camera], slices: Sequence[slice],
                        ) -> tuple[IntArray, FloatArray, list[_Group]]:
-    """Return the indices (k,) of parameters with unknown variances, first guesses (k,), and groups.
+    """Return which parameters have an unknown prior variance, first guesses of it, and groups.
 
-    Indices are those of `slices`; the first guesses are standard deviations. Groups have indices
-    among the k.
+    Returns
+    -------
+    indices : ndarray, shape (k,)
+        Of the parameters among those of all images, by `slices`.
+    guesses : ndarray, shape (k,)
+        Their standard deviations as the cameras state them.
+    groups : list of _Group
+        Parameters that share a standard deviation, by their numbers among the k.
     """
-    at: list[int] = []
-    scale: list[float] = []
+    indices: list[int] = []
+    guesses: list[float] = []
     members: dict[str, list[IntArray]] = {}
     min_ratio: dict[str, float] = {}
     scales: dict[str, list[str]] = {}
+    # Behind the parameters of the images, `slices` has the offset of heights.
     for camera, columns in zip(cameras, slices, strict=False):
         names = np.array(camera.scales)
         sigma = np.array(camera.prior_sigma)
@@ -179,17 +186,17 @@ def _unknown_variances(cameras: Sequence[Camera], slices: Sequence[slice],
             if group in camera.fixed_variance:
                 continue
             in_scale = np.flatnonzero(names == scale_name)
-            members.setdefault(group, []).append(len(at) + np.arange(len(in_scale)))
+            members.setdefault(group, []).append(len(indices) + np.arange(len(in_scale)))
             scales.setdefault(group, []).append(scale_name)
-            at += (columns.start + in_scale).tolist()
-            scale += sigma[in_scale].tolist()
+            indices += (columns.start + in_scale).tolist()
+            guesses += sigma[in_scale].tolist()
             # The standard deviation of a group is at least the least one that its cameras state.
             ratio = float((least_sigma[in_scale] / sigma[in_scale]).max())
             min_ratio[group] = max(min_ratio.get(group, _SIGMA_GRID[0]), ratio)
     groups = [_Group(tuple(images), np.unique(scales[name], return_inverse=True)[1],
                      min_ratio[name])
               for name, images in members.items()]
-    return np.array(at, np.intp), np.array(scale), groups
+    return np.array(indices, np.intp), np.array(guesses), groups
 
 
 def _sample_variances(matrix: FloatArray, right: FloatArray, groups: Sequence[_Group],

@@ -245,10 +245,12 @@ class KnownFrame(SensorModel):
     # The camera by points.
 
     def measured(self, features: FeatureSet, noise: float | None) -> Measured:
-        """Return scaled control points, their weights (n, 2), and all that is known of the camera.
+        """Return the measurements of scaled control points, and all that is known of the camera.
 
-        `noise` [px] is the standard deviation of a measurement that the file states, None if it
-        states none; deviations of the points come before it.
+        Image positions are freed of the lens's distortion. Weights (n, 2) are the median standard
+        deviation of the points over each of theirs, or 1. `noise` [px] is the standard deviation of
+        a measurement that the file states, None if it states none; those of the points come before
+        it. Without either a usual one is assumed, which the points may soon correct.
         """
         assert self.scaling is not None
         points = features.points

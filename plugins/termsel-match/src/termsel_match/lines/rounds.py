@@ -173,66 +173,109 @@ def iterate_lines(
     if at is None:
         raise without_start(Path(image))
     rounds: list[Round] = []
-    first = search
+    reach = search
     while True:
-        candidates = match_lines(image, vectors, dem=dem, start=at, search=search, band=band,
+        candidates = match_lines(image, vectors, dem=dem, start=at, search=reach, band=band,
                                  progress=progress)
-        features = FeatureSet(lines=candidates.lines, crs=candidates.crs,
-                              image_size=candidates.image_size)
-        by_relief = model_by_relief(model, options, features)
-        model, options = by_relief.model, by_relief.options
-        half_at = _HALF_AT[bool(rounds)]
-        selected = candidates.lines.take(np.isin(candidates.lines.ids, features_by_search(
-            "matched-lines", features, model, {**options, "half_at": half_at}, seed=seed)))
-        # All lines weigh alike: how well a band is measured does not say how far the vector is off.
-        alike = replace(selected, sigma=np.ones(len(selected)))
-        used, fitted = fit_lines_or_hold_by_start(
-            features.with_(lines=alike), model, options, at, search)
-        selected = used.lines
-        n_pieces = len(set(candidates.lines.attributes["piece"]))
-        rms = rms_distance(fitted, selected)
-        vertices = selected.ground.reshape(-1, 3)
-        position = fitted.project(vertices)
-        plane = transform_plane(vertices[:, :2], candidates.crs, at.crs)
-        position_before = at.project(np.column_stack([plane, vertices[:, 2]]))
-        moved = float(np.sqrt(((position - position_before) ** 2).sum(axis=1).mean()))
-        rounds.append(Round(search, n_pieces, len(candidates.lines), len(selected), rms, moved))
-        settled = moved < _SETTLED_MOVE
+        agreement = _agreement_among(candidates, model, options, at, search=reach,
+                                     half_at=_HALF_AT[bool(rounds)], seed=seed)
+        # A model that the relief has replaced is replaced for all further rounds.
+        model, options = agreement.model, agreement.options
+        rounds.append(agreement.round_from(at, reach))
+        settled = rounds[-1].moved < _SETTLED_MOVE
         if settled or len(rounds) == _MAX_ROUNDS:
             break
         # The model is better now, and a narrower search finds fewer wrong bands.
-        search = min(search, max(_NARROWEST, search / _NARROWER))
-        at = _start(fitted, candidates.crs, selected)
+        reach = min(reach, max(_NARROWEST, reach / _NARROWER))
+        at = agreement.start
     # A wide search from the model shows whether it is right: then the clearest bands are next to
     # it.
-    confirmed = are_bands_in_place(image, vectors, _start(fitted, candidates.crs, selected),
-                                   dem=dem, search=max(_PROOF, first), band=band)
+    confirmed = are_bands_in_place(image, vectors, agreement.start, dem=dem,
+                                   search=max(_PROOF, search), band=band)
     if confirmed.mean() < _LEAST_SHARE:
         raise TermselError(
             f"not enough lines agree: for {int(confirmed.sum())} of {len(confirmed)} pieces of "
             f"vectors the clearest band of the image is at its place", file=Path(image),
             hint="Give a larger --search, a start that is nearer, or vectors of what the image "
                  "shows.")
-    lines = replace(selected, sigma=np.full(len(selected), rms))
-    used = used.with_(lines=lines)
+    # What the lines miss by is the standard deviation of each.
+    used = agreement.used
+    used = used.with_(lines=replace(used.lines, sigma=np.full(len(used.lines), rounds[-1].rms)))
     mixed = {"mixed": True} if len(used.points) else {}
     result = termsel.run("owdis-lines", features=used, model=model, solver="all-terms",
                          criterion="press", options={**options, **mixed}, seed=seed, out=folder)
-    tracing = Tracing()
-    if not (isinstance(start, Start) or len(used.points)):
-        problem = termsel.prepare("matched-lines", features=features, model=model,
-                                  options={**options, "half_at": half_at}).problem
-        assert isinstance(problem, MatchedLines)
-        tracing = variance_of_tracing(problem, selected.ids, seed)
+    # Not of an image that points or its start hold: these show more of what the vectors leave.
+    is_by_lines = not (isinstance(start, Start) or len(used.points))
     return Matched(
         candidates=candidates,
-        lines=lines,
+        lines=used.lines,
         result=result,
         rounds=tuple(rounds),
         settled=settled,
         decisive=most_decisive_vector(used, model, options),
-        tracing=tracing,
+        tracing=agreement.tracing(seed) if is_by_lines else Tracing(),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Agreement:
+    """The candidates of a round, those that agree, and the model that these give."""
+
+    candidates: LineCandidates
+    features: FeatureSet  # all candidates
+    used: FeatureSet  # the lines that agree, and points of the start where it has to hold the image
+    fitted: Fit
+    model: str
+    options: Mapping[str, Any]  # of the model
+    half_at: float  # distance at which a piece counts half [px]
+
+    @property
+    def start(self) -> Start:
+        """The model as the start of the next round, at the mean height of its lines."""
+        height = float(np.nanmean(self.used.lines.ground[..., 2]))
+        return Start("the model of the last round", self.candidates.crs, height,
+                     self.fitted.project, self.fitted.locate)
+
+    def round_from(self, before: Start, search: float) -> Round:
+        """Return what the round changed: `before` is its start, `search` its distance [px]."""
+        lines = self.used.lines
+        vertices = lines.ground.reshape(-1, 3)
+        plane = transform_plane(vertices[:, :2], self.candidates.crs, before.crs)
+        moves = self.fitted.project(vertices) - before.project(
+            np.column_stack([plane, vertices[:, 2]]))
+        return Round(search, len(set(self.candidates.lines.attributes["piece"])),
+                     len(self.candidates.lines), len(lines), rms_distance(self.fitted, lines),
+                     moved=float(np.sqrt((moves**2).sum(axis=1).mean())))
+
+    def tracing(self, seed: int) -> Tracing:
+        """Return what errors of the vectors leave in the image (see `variance_of_tracing`)."""
+        problem = termsel.prepare("matched-lines", features=self.features, model=self.model,
+                                  options={**self.options, "half_at": self.half_at}).problem
+        assert isinstance(problem, MatchedLines)
+        return variance_of_tracing(problem, self.used.lines.ids, seed)
+
+
+def _agreement_among(candidates: LineCandidates, model: str, options: Mapping[str, Any], at: Start,
+                     *, search: float, half_at: float, seed: int) -> _Agreement:
+    """Select the candidates that agree, and return them with the model that they give.
+
+    Over ground that is a plane an affine `model` loses its terms of heights. A piece at a distance
+    of `half_at` [px] counts half. Where the lines alone do not hold the image, the start
+    `at` does, as far as a search of `search` px could be wrong. Raises TermselError if too few
+    lines agree.
+    """
+    features = FeatureSet(lines=candidates.lines, crs=candidates.crs,
+                          image_size=candidates.image_size)
+    by_relief = model_by_relief(model, options, features)
+    selected = candidates.lines.take(np.isin(candidates.lines.ids, features_by_search(
+        "matched-lines", features, by_relief.model, {**by_relief.options, "half_at": half_at},
+        seed=seed)))
+    # All lines weigh alike: how well a band is measured does not say how far the vector is off.
+    alike = replace(selected, sigma=np.ones(len(selected)))
+    used, fitted = fit_lines_or_hold_by_start(
+        features.with_(lines=alike), by_relief.model, by_relief.options, at, search)
+    return _Agreement(candidates, features, used, fitted, by_relief.model, by_relief.options,
+                      half_at=half_at)
 
 
 def are_bands_in_place(image: Path | str, vectors: Path | str, at: Start, *, dem: Path | str | None,
@@ -245,12 +288,6 @@ def are_bands_in_place(image: Path | str, vectors: Path | str, at: Start, *, dem
     # Candidates of a piece are numbered from the clearest on.
     clearest = np.array([name.endswith(".1") for name in lines.ids])
     return np.asarray(np.abs(lines.attributes["offset"][clearest].astype(float)) <= _AT)
-
-
-def _start(fitted: Fit, crs: str, lines: Lines) -> Start:
-    """Return the model of a round as the start of the next one, at the mean height of its lines."""
-    return Start("the model of the last round", crs, float(np.nanmean(lines.ground[..., 2])),
-                 fitted.project, fitted.locate)
 
 
 def rms_distance(fitted: Fit, lines: Lines) -> float:

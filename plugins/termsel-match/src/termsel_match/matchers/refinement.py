@@ -132,7 +132,7 @@ def _solve_steps(smooth: list[FloatArray], template: FloatArray, position: Float
     smooth : list of ndarray, shape (lines, samples)
         The c layers of the second window, as coefficients of cubic splines.
     template : ndarray, shape (n, c, p)
-        The p pixels around each keypoint in the layers of the first window.
+        The p pixels around each keypoint in the layers of the first window: a square, row by row.
     position : ndarray, shape (n, 2)
         Line and sample in the second window at which the steps begin [px].
     window : ndarray, shape (p, 2)
@@ -166,20 +166,23 @@ def _solve_steps(smooth: list[FloatArray], template: FloatArray, position: Float
     columns = np.stack([flat_seen, *(values - values.mean(axis=2, keepdims=True)
                                      for values in (down, right))], axis=-1)
     normal = np.einsum("ncpi,ncpj->nij", columns, columns)
+    # Windows without texture leave it singular; so small a ridge changes no other step.
     normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     inverse = np.linalg.inv(normal)
     solution = np.einsum("nij,ncpj,ncp->ni", inverse, columns, flat)
     residuals = flat - np.einsum("ncpi,ni->ncp", columns, solution)
+    # Where windows are unlike, c1 is about 0, and steps become too long to be taken.
     contrast = np.where(np.abs(solution[:, 0]) < 1e-6, 1e-6, solution[:, 0])
     step = solution[:, 1:] / contrast[:, None]
     grid = residuals.reshape(count, layers, width, width)
-    spread = np.maximum((grid ** 2).sum(axis=(1, 2, 3)), 1e-12)
-    # Correlation of neighbouring residuals: of a process of first order n (1 - a)^2 / (1 + a)^2
-    # count.
+    square = np.maximum((grid ** 2).sum(axis=(1, 2, 3)), 1e-12)
+    # Neighbouring residuals have the correlation a. Of n residuals of a process of first order in
+    # both directions only n (1 - a)^2 / (1 + a)^2 count as independent; a near 1 leaves none.
     autocorrelation = np.clip(((grid[..., 1:, :] * grid[..., :-1, :]).sum(axis=(1, 2, 3))
-                               + (grid[..., 1:] * grid[..., :-1]).sum(axis=(1, 2, 3))) / (2
-                                   * spread), 0, 0.9)
-    variance = spread / (layers * (size - 1) - 3) * ((1
-        + autocorrelation) / (1 - autocorrelation)) ** 2
+                               + (grid[..., 1:] * grid[..., :-1]).sum(axis=(1, 2, 3)))
+                              / (2 * square), 0, 0.9)
+    # Each layer has lost its constant, and all of them the three coefficients.
+    variance = (square / (layers * (size - 1) - 3)
+                * ((1 + autocorrelation) / (1 - autocorrelation)) ** 2)
     sigma = np.sqrt(variance[:, None] * np.diagonal(inverse, axis1=1, axis2=2)[:, 1:])
     return step, sigma / np.abs(contrast)[:, None], score

@@ -119,15 +119,17 @@ class CorrelationSeededGA(GeneticAlgorithm):
                                name=stated[0])
 
     def toolbox(self, problem: Problem, rng: np.random.Generator) -> base.Toolbox:
-        """Return the toolbox of the GA, with a first population drawn by correlations (eq. 4).
+        """Return the toolbox of the GA, with a first population drawn by correlations.
 
-        A term is switched on with a probability that grows with its correlations.
+        A gene is on with the probability of Akhoundi Khezrabad et al. 2020, eq. 4: the more its
+        column is correlated with others, the lower. Chromosomes that break a rule of the genome are
+        repaired. Raises TermselError if a probability exceeds 1.
         """
         o = self.options
         box = super().toolbox(problem, rng)
         scale, offset = PRESETS.get(o["preset"], (o["scale"], o["offset"]))
+        # One probability for each column of the design, that is for each gene.
         probability = activation_probabilities(correlation_sums(problem.design()), scale, offset)
-
         size = self.population_size(problem)
 
         def population() -> BoolArray:

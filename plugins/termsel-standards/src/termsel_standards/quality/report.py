@@ -198,13 +198,13 @@ def _tested_measures(result: Result) -> tuple[Measure, ...]:
     On the ground there are none if the errors are not known in metres; the figure of NSSDA needs
     enough points.
     """
-    # Of these measures only the first is among those of ISO 19157, annex D.
     if result.accuracy is None:
         return ()
     image = result.accuracy.image
     ground = result.accuracy.ground
     measures = []
     if ground is not None:
+        # Annex D of ISO 19157 has the first of these alone, whose identifier is RMSEP.
         measures = [
             Measure("root mean square error of planimetry", "root of the mean of the squares of "
                     "the distances from the surveyed positions", ground.total, "m", RMSEP),

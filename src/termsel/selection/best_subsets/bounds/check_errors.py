@@ -95,8 +95,11 @@ def decide_block(kind: int, vectors: Vectors, limits: Limits, records: Records, 
                  b: SubsetBlock) -> bool:
     """Decide all subsets that add some of the columns first, ..., n - 1, by their inner products.
 
-    The best subsets are in `records` then. Return False if inner products are too inaccurate, so
-    that the vectors must decide on all of them again; what was recorded by then is correct.
+    They are added to those in use at the `depth` of `vectors`, whose mask is `mask`. `upper` has
+    the limits of the denominators at this depth. `b` and `cursor`, from `depth` on, are
+    overwritten. The best subsets are in `records` then. Return False if inner products are too
+    inaccurate, so that the vectors must decide on all of them again; what was recorded by then is
+    correct.
     """
     n = vectors.top.shape[2] - 1
     count = n - first

@@ -194,10 +194,9 @@ def _solve_selection(rows: FeatureRows, state: WalkState, space: EntrySpace, dep
     """Solve the selection at a depth by Cholesky; return OPEN, UNKNOWN, SCORED or CARRIED.
 
     It fills in y'y in `state`, the factor, its inverse and y in `space`, and with CARRIED the
-    products, too.
-    `further` says whether features from `first` on may enter: only then are products filled in.
-    `floor` are the squared errors that no selection is below, `limit` those up to which the
-    selection would remain.
+    products, too. `further` says whether features from `first` on may enter: only then are products
+    filled in. `floor` are the squared errors that no selection is below, `limit` those up to which
+    the selection would remain.
     """
     worst, total, pivot = 0.0, 0.0, 1.0
     # Each part of the unknowns needs its own equations.

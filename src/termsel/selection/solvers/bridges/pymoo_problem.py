@@ -121,11 +121,15 @@ class _ProblemForPymoo(PymooProblem):
 
 
 def _count_broken_rules(problem: Problem, genes: Genes) -> FloatArray:
-    """Return how many genes of each individual break a forced gene or a cardinality, (p,)."""
+    """Return by how many of its `genes` (p, g) each individual is invalid, (p,); 0 for valid ones.
+
+    Counted are genes that differ from their forced value, and in each segment genes that are on
+    beyond its maximum or missing to its minimum. A gene may break both rules, and counts twice.
+    """
     genome = problem.genome
     count: FloatArray = ((genes & genome.off) | (~genes & genome.on)).sum(axis=1).astype(float)
     for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
-        assert isinstance(segment, Bits)  # of which this genome is
+        assert isinstance(segment, Bits)  # genes of other types are repaired instead
         on = genes[:, columns].sum(axis=1)
         count += np.maximum(on - segment.most, 0) + np.maximum(segment.minimum - on, 0)
     return count

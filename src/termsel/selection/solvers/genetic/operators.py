@@ -307,7 +307,8 @@ def neighbours_of_segment(segment: AnySegment, genes: Genes) -> Iterator[Genes]:
 
     Integers and real numbers move by a half, a quarter, ... of their range, or to a bound; a
     category becomes each other one; a permutation has two of its members exchanged; a subset has
-    one member replaced. All neighbours are valid and differ from the genes.
+    one member replaced. All these are valid and differ from the genes. Those of a custom segment
+    are its own `steps`.
 
     Raises TypeError for bits, whose neighbours are those of `swap.neighbour_batches`.
     """
