@@ -65,6 +65,9 @@ BY_HAND = ("clients", "paper-tables", "index")
 without which its page would lose its rows; the others sum up what the pages say."""
 STATE = ROOT / "docs" / "evidence" / "made-by.json"
 
+CODE = ("src", "plugins", "benchmarks", ":(exclude)plugins/termsel-bench/results")
+"""What pages are made by. The page of the open benchmark writes its results into the last."""
+
 
 def main(arguments: Sequence[str]) -> None:
     """Make the pages named, or all, that the present commit has not made."""
@@ -116,11 +119,11 @@ def commit() -> str:
         return subprocess.run(["git", *words], cwd=ROOT, check=True, capture_output=True,
                               text=True).stdout.strip()
 
-    if git("status", "--porcelain", "--", "src", "plugins", "benchmarks"):
+    if git("status", "--porcelain", "--", *CODE):
         sys.exit("src, plugins or benchmarks have changes: commit them first, so that the pages "
                  "can say what made them")
     # That of the code: pages themselves are committed after it.
-    return git("log", "-1", "--format=%h", "--", "src", "plugins", "benchmarks")
+    return git("log", "-1", "--format=%h", "--", *CODE)
 
 
 def run(command: list[str]) -> None:

@@ -205,7 +205,7 @@ def test_ebic_by_hand() -> None:
         for side in (0, 1):
             k = int(terms[axis == side].sum())
             expected += (n * math.log((v[:, side]**2).sum() / n) + k * math.log(n)
-                         + 2 * 0.5 * math.log(math.comb(39, k)))
+                         + 2 * 0.5 * math.log(math.comb(39, min(k, 19))))
         assert problem.evaluate(genes[None]).objectives[0, 0] == pytest.approx(expected, rel=1e-9)
 
 
@@ -218,8 +218,24 @@ def test_ebic_of_terms_chosen_together_is_of_one_system() -> None:
         v = problem.equations.b - problem.equations.A @ x
         k = int(genes.sum())
         expected = (2 * n * math.log(v @ v / (2 * n)) + 2 * k * math.log(2 * n)
-                    + 2 * math.log(math.comb(10, k)))
+                    + 2 * math.log(math.comb(10, min(k, 5))))
         assert problem.evaluate(genes[None]).objectives[0, 0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_ebic_costs_more_the_more_terms_there_are() -> None:
+    """All of ten terms are one selection, which is no reason to take them all."""
+    problem = problem_of("poly-terms", "ebic", options={"degree": 2})
+    size = problem.genome.size // 2
+    genes = np.zeros((size, 2 * size), dtype=bool)
+    for used in range(1, size + 1):
+        genes[used - 1, :used] = genes[used - 1, size:size + used] = True
+    judged = problem.evaluate(genes)
+    n = len(problem.inputs.control)
+    v = np.array([problem.equations.b - problem.equations.A @ solution(
+        problem, problem.masks(one[None])[0][0], np.ones(n, dtype=bool)) for one in genes])
+    fit = sum(n * np.log((v[:, side::2]**2).sum(axis=1) / n) for side in (0, 1))
+    penalty = judged.objectives[:, 0] - fit
+    assert (np.diff(penalty) > 0).all()
 
 
 def test_ebic_demands_redundancy() -> None:

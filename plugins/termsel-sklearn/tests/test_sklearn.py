@@ -110,7 +110,7 @@ def _ebic(X: np.ndarray, y: np.ndarray, columns: tuple[int, ...]) -> float:
     y = y / y.std(axis=0)
     rss = np.linalg.lstsq(A, y, rcond=None)[1].sum()
     return (len(X) * np.log(rss / len(X)) + len(columns) * np.log(len(X))
-            + 2 * np.log(comb(X.shape[1], len(columns))))
+            + 2 * np.log(comb(X.shape[1], min(len(columns), X.shape[1] // 2))))
 
 
 @pytest.mark.parametrize("outputs", [1, 2])
@@ -124,6 +124,19 @@ def test_the_selector_finds_the_best_of_all_subsets(outputs: int) -> None:
     found = TermSelector().fit(X, y if outputs > 1 else y[:, 0])
     assert tuple(found.get_support(indices=True)) == best
     assert found.search_.objectives[0] == pytest.approx(_ebic(X, y, best))
+
+
+@pytest.mark.parametrize(("n", "k"), [(40, 5), (100, 5), (20, 6), (40, 9)])
+def test_columns_of_noise_among_few_are_left_out(n: int, k: int) -> None:
+    """There is one selection of all columns: it must not be the cheapest for that."""
+    sizes = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        X = rng.normal(size=(n, k))
+        y = X[:, :3] @ np.array([1.0, -0.7, 0.5]) + rng.normal(0, 0.5, n)
+        sizes.append(int(TermSelector(solver="exact").fit(X, y).get_support().sum()))
+    assert sizes.count(k) <= 1
+    assert sizes.count(3) >= 8
 
 
 def test_the_selector_in_a_pipeline() -> None:

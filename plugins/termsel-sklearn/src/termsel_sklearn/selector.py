@@ -50,7 +50,9 @@ class ColumnProblem(Problem):
     """Which columns of X (n, k), at most so many, explain y (n, m) by the extended BIC.
 
     n log(RSS / n) + s log n + 2 log C(k, s) for s of k columns (Chen and Chen 2008, Biometrika
-    95(3), equation 1 with gamma 1). A constant, the first gene, is always in the fit and does not
+    95(3), equation 1 with gamma 1). Above half of the columns C(k, s) is that of half of them:
+    it falls again there, and is 1 of all columns, which would let noise among few columns in. A
+    constant, the first gene, is always in the fit and does not
     count. RSS is that of all targets, each in the unit of its own standard deviation. Weights (n,)
     are above 0 and count relative to each other: a variance that the criterion estimates has no
     other use for them.
@@ -79,7 +81,8 @@ class ColumnProblem(Problem):
         self._design = np.column_stack([root, X])
         self._target = y
         # The penalty of Chen and Chen for each number of columns.
-        self._penalty = np.array([s * log(self._n) + 2.0 * log(comb(k, s)) for s in range(k + 1)])
+        self._penalty = np.array([s * log(self._n) + 2.0 * log(comb(k, min(s, k // 2)))
+                                  for s in range(k + 1)])
         names = tuple(f"{i}" for i in range(k))
         self.genome = Genome(
             [Bits("columns", ("constant", *names), 2,

@@ -29,6 +29,9 @@ class Ebic(Criterion):
     that are forced on are no choice, and those forced off are not offered. Plain BIC lacks the last
     part: the more selections of a size there are, the better one of them fits by chance. Terms of
     line and sample that are switched together are one choice and one system with a common variance.
+    Above P / 2 terms ln C(P, j) is that of P / 2: the number of selections falls again there, and
+    is 1 of all terms, which would make the largest selection of few terms the cheapest. The paper
+    asks of at most so many terms that it grows.
 
     The criterion is valid for n much larger than k. As k nears n, ln(RSS / n) falls without
     bound, and a meaningless term lowers n ln(RSS / n) by about n / (n - k) instead of 1.
@@ -107,12 +110,20 @@ class Ebic(Criterion):
         """
         min_redundancy = self.options["min_redundancy"]
         min_redundancy = max(1, round(n / 3)) if min_redundancy is None else min_redundancy
-        # ln C(P, j) for j = 0, ..., P; RSS / n of what is explained to rounding counts as rounding.
-        choices = np.array([log(comb(offered, size)) for size in range(offered + 1)])
+        choices = log_choices(offered)
+        # RSS / n of what is explained to rounding counts as rounding.
         # n ln(RSS / n) + k ln n + 2 gamma ln C(P, j)
         value = (n * np.log(np.maximum(rss / n, ROUNDING**2)) + k * log(n)
                  + 2 * self.options["gamma"] * choices[n_chosen])
         return np.where(n - k >= min_redundancy, value, np.inf)
+
+
+def log_choices(offered: int) -> FloatArray:
+    """Return ln C(P, min(j, P / 2)), (P + 1,), for j = 0, ..., P of P terms that are offered.
+
+    The number of selections of j terms is largest at P / 2; see `Ebic` for what is above.
+    """
+    return np.array([log(comb(offered, min(size, offered // 2))) for size in range(offered + 1)])
 
 
 def _chosen_together(systems: tuple[IndependentPart, ...],
