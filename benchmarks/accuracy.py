@@ -348,9 +348,9 @@ the number of points, which nobody knows beforehand.
 
 ## Against the papers' GA
 
-`rfm-terms` with `--solver ga` on check RMSE (`poly-terms` where there are no heights). Half of the
-points are selection points. {GA_SPLITS} of the splits at {', '.join(map(str, GA_COUNTS))} points
-each.
+`rfm-terms` with `--solver ga` on selection RMSE (`poly-terms` where there are no heights). Half
+of the points are selection points. {GA_SPLITS} of the splits at
+{', '.join(map(str, GA_COUNTS))} points each.
 
 {ga}
 

@@ -3,7 +3,7 @@
 Both select among the 78 terms of the RFM on the embedded scene `ikonos-hamedan`, with 200
 chromosomes and 80 generations. Times are seconds per evaluation, everything included: the
 script evaluates only changed chromosomes, and termsel looks up known ones, so whole runs
-differ a little in their evaluations. The disagreement is that of the check RMSE
+differ a little in their evaluations. The disagreement is that of the selection RMSE
 of the script's best chromosome.
 """
 

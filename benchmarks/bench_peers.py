@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from benchmarks.bench_kernels import Row, best_of
-from benchmarks.bench_subsets import finish, lapack, plane_polynomial
+from benchmarks.bench_subsets import finish, lapack, polynomial_2d
 from termsel.data.features import BoolArray, FloatArray
 from termsel.selection.best_subsets.columns.system import SubsetSystem
 
@@ -30,7 +30,7 @@ ROUNDING = 1e-6
 
 def without_constant() -> SubsetSystem:
     """Return 20 terms of which the mean over the control points is taken, as intercepts do."""
-    whole = plane_polynomial(np.random.default_rng(21))
+    whole = polynomial_2d(np.random.default_rng(21))
     assert whole.check_design is not None
     assert whole.check_target is not None
     columns, target = whole.design[:, 1:].mean(axis=0), whole.target.mean(axis=0)

@@ -27,7 +27,7 @@ SAMPLE = 1 << 12
 N_CONTROL, N_CHECK = 27, 47
 
 
-def plane_polynomial(rng: np.random.Generator, degree: int = 5) -> SubsetSystem:
+def polynomial_2d(rng: np.random.Generator, degree: int = 5) -> SubsetSystem:
     """Return a polynomial of two coordinates; degree 5 is the published case of 21 terms."""
     x, y = rng.uniform(-1, 1, (2, N_CONTROL + N_CHECK))
     columns = np.stack([x**i * y**j for d in range(degree + 1) for i in range(d, -1, -1)
@@ -110,7 +110,7 @@ def compare(what: str, system: SubsetSystem, score: str, *, folds: tuple[IntArra
 def growth(rng: np.random.Generator) -> Iterator[Row]:
     """Yield the time of a larger space, and the growth of memory [MB]."""
     before = _peak()
-    result, seconds = finish(plane_polynomial(rng, 6), "check", max_terms=8)
+    result, seconds = finish(polynomial_2d(rng, 6), "check", max_terms=8)
     grown = _peak() - before
     yield (f"2D, degree 6, <= 8 of 28 terms: {result.total:,} subsets, memory +{grown:.0f} MB",
            seconds, "", None, None, None)
@@ -125,7 +125,7 @@ def _peak() -> float:
 def rows() -> Iterator[Row]:
     """Yield the measurements."""
     rng = np.random.default_rng(21)
-    plane, quotient = plane_polynomial(rng), rational(rng)
+    plane, quotient = polynomial_2d(rng), rational(rng)
     folds = tuple(np.array_split(np.arange(N_CONTROL), 5))
     shared = replace(plane, target=np.hstack([plane.target, plane.target[:, ::-1] ** 2]),
                      check_target=np.repeat(np.asarray(plane.check_target), 2, axis=1))
@@ -133,7 +133,7 @@ def rows() -> Iterator[Row]:
     yield compare("same, one mask for both axes", shared, "check")
     yield compare("RFM, 19 terms, check, guarded, 2^19", quotient, "check")
     yield compare("2D, 21 terms, press", plane, "press")
-    yield compare("2D, 15 terms, 5 folds", plane_polynomial(rng, 4), "kfold", folds=folds)
+    yield compare("2D, 15 terms, 5 folds", polynomial_2d(rng, 4), "kfold", folds=folds)
     yield compare("2D, 21 terms, rss and its bound", plane, "rss")
     wide = rational(rng, 20, 74)
     yield compare("RFM, 39 terms, rss, 81 million of up to 8", wide, "rss", max_terms=8)

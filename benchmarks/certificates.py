@@ -1,7 +1,7 @@
 """What the certificate of an RFM of second order takes.
 
-``python -m benchmarks.certificates --out FILE`` proves, certifies and checks it (19 terms an
-axis). FILE gets the figures as JSON.
+``python -m benchmarks.certificates --out FILE`` proves, certifies and checks it (19 terms per
+image coordinate). FILE gets the figures as JSON.
 """
 
 from __future__ import annotations

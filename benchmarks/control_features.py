@@ -129,11 +129,11 @@ def page() -> str:
              f"Made by `python -m benchmarks.control_features --write`: {SEEDS} seeds, "
              f"{EVALUATIONS:,} evaluations each. The",
              "scenes are simulated, with 24 selection points and 200 independent check points; "
-             "`rpc-gcps` has its own. The gap is that of the check",
-             "RMSE to the optimum that `exact` proves over all selections ([how]"
+             "`rpc-gcps` has its own. The gap is that of the",
+             "selection RMSE to the optimum that `exact` proves over all selections ([how]"
              "(../explanation/searching.md#exact-features)).",
-             "The independent RMSE is the median over the seeds. **A search minimises the check "
-             "RMSE alone, so the optimum need not be",
+             "The independent RMSE is the median over the seeds. **A search minimises the "
+             "selection RMSE alone, so the optimum need not be",
              "the most accurate: compare the last column.**", ""]
     for case in CASES:
         lines += section(case)

@@ -41,7 +41,7 @@ from termsel_studies.groups import Runs, group
 from termsel_studies.summaries import quantiles_with_infinity, reachable_value, wilson_interval
 
 Front: TypeAlias = list[tuple[int, float, tuple[float, float, float]]]
-"""Terms, check RMSE and RMSE at the new points, with its interval, of the best of each size."""
+"""Terms, selection RMSE and RMSE at the new points, with its interval, of the best of each size."""
 
 HERE = Path(__file__).parent
 STUDIES = ("gap-rfm", "gap-rfm-long", "gap-rfm-local", "gap-rfm-papers")
@@ -49,7 +49,7 @@ FIGURE = ROOT / "docs" / "_static" / "gap-to-optimum.svg"
 SCENES = range(101, 131)
 """Seeds of the scenes of the second proof; none is that of the embedded scene."""
 SHARES = (1.0, 0.98, 0.9, 0.7, 0.5, 0.3, 0.1)
-"""Limits to the check RMSE, as shares of the optimum, for which the work is sampled."""
+"""Limits to the selection RMSE, as shares of the optimum, for which the work is sampled."""
 PIECE, PIECES = 1 << 25, 80
 """Most selections of a piece of the search, and pieces of an axis that are timed."""
 OPTIMUM = """
@@ -130,7 +130,7 @@ def page(proof: termsel.Result, residuals: termsel.Result,
     yield from worth(proof)
     yield "## The best selection of each size\n"
     yield FRONT
-    yield "| terms | check RMSE [px] | RMSE at the new points [px] |\n|---:|---:|---:|"
+    yield "| terms | selection RMSE [px] | RMSE at the new points [px] |\n|---:|---:|---:|"
     for terms, of_check, new in front:
         yield f"| {terms} | {of_check:.4f} | {of_three(new)} |"
     yield "\n## What searches reach\n"
@@ -196,7 +196,7 @@ def refitted(terms: Sequence[str], criterion: str = "check-rmse",
 
 
 def front_of(proof: termsel.Result) -> Front:
-    """Return terms, check RMSE and RMSE at the new points of the best selection of each size."""
+    """Return terms, selection RMSE and RMSE at new points of the best selection of each size."""
     return [(int(member.objectives["n_terms"]), total(member.rmse, "check"),
              rmse_interval(errors_of(refitted(member.selection.terms))))
             for member in proof.front]
@@ -319,7 +319,7 @@ def other_scenes() -> Iterator[str]:
     values = {name: np.array(pairs) for name, pairs in found.items()}
     optimum = values["proven optimum"]
     yield SECOND.format(scenes=len(SCENES))
-    yield ("| method | check RMSE [px] | check / optimum | independent RMSE [px] | "
+    yield ("| method | selection RMSE [px] | check / optimum | independent RMSE [px] | "
            "scenes in which it is better on independent check points than the optimum |")
     yield "|---|---:|---:|---:|---:|"
     for name, pairs in values.items():
@@ -333,18 +333,18 @@ def other_scenes() -> Iterator[str]:
 
 
 def figure(front: Front, study: termsel.Study) -> Any:
-    """Return the chart of check and independent RMSE over the number of terms."""
+    """Return the chart of selection and independent RMSE over the number of terms."""
     alt = require_altair()
-    kinds = ("check RMSE of the best selection", "its independent RMSE")
+    kinds = ("selection RMSE of the best selection", "its independent RMSE")
     rows = [{"terms": terms, "rmse": rmse, "what": kind}
             for terms, check, new in front if terms >= 8
             for rmse, kind in zip((check, new[0]), kinds, strict=True)]
     runs = [{"terms": one["n_terms"], "rmse": one[key], "what": kind}
             for one in runs_of([study]) if one["solver"] == "ga"
-            for key, kind in (("check", "check RMSE of a run of ga"),
+            for key, kind in (("check", "selection RMSE of a run of ga"),
                               ("independent", "its independent RMSE, ga"))]
     plain = rmse_interval(quadratics()[1])[0]
-    names = [*kinds, "check RMSE of a run of ga", "its independent RMSE, ga"]
+    names = [*kinds, "selection RMSE of a run of ga", "its independent RMSE, ga"]
     x = alt.X("terms:Q", title="terms, line and sample together", scale=alt.Scale(zero=False))
     y = alt.Y("rmse:Q", title="RMSE [px]", scale=alt.Scale(
         type="log", domain=[0.65, 3.5], nice=False), axis=alt.Axis(values=[0.7, 0.8, 1, 1.5, 2, 3]))
@@ -372,22 +372,23 @@ points. New points are 1,000 further ones of the same scene, measured as well. I
 
 ## In short
 
-- The papers select terms of an RFM of 78 terms by GA, ICA or PSO, such that the RMSE of check
+- The papers select terms of an RFM of 78 terms by GA, ICA or PSO, such that the RMSE at selection
   points is small. How close they come was not known. Here the optimum is proven.
-- **The least check RMSE is {check:.4f} px**, with {terms} terms. No selection of up to 16 terms an
-  axis has less: {subsets:,} selections were decided, {share:.1f} % of them by bounds.
+- **The least selection RMSE is {check:.4f} px**, with {terms} terms. No selection of up to 16 terms
+  per image coordinate has less: {subsets:,} selections were tried or excluded,
+  {share:.1f} % of them by bounds.
 - {reached} of {runs:,} runs of searches reached it. The median run ends {typical:.0f} % above it.
   The local search by axis below had 6 million evaluations, which take one to two minutes.
 - **The optimum is a bad choice for new points:** its RMSE there is {independent} px,
   {worth:.0f} % above that of a plain quadratic polynomial, {quadratic} px. The median of the
   searches has {median:.3f} px.
-- Among the {near:,} runs within 30 % of the optimum, check RMSE and RMSE of new points have the
+- Among the {near:,} runs within 30 % of the optimum, selection RMSE and RMSE of new points have the
   rank correlation {rho}; number of terms and RMSE of new points {fewer}.
   {worse:.0f} % of these runs are worse on new points than the quadratic polynomial.
 
 A better search does not give a better result here, nor over
 [ten scenes of the full RFM](overfitting.md). It is why termsel's strategy
-[auto](honest-accuracy.md) does not minimise a check RMSE.
+[auto](honest-accuracy.md) does not minimise a selection RMSE.
 
 ## Question
 
@@ -425,14 +426,14 @@ More points do not correct it: the terms themselves suit the selection points al
 """
 
 FRONT = """The walk decides the best selection of each number of terms as well. One that fewer terms
-beat is left out. So the check RMSE falls with each line; the independent RMSE does not.
+beat is left out. So the selection RMSE falls with each line; the independent RMSE does not.
 
 ```{image} ../_static/gap-to-optimum.svg
-:alt: With more terms the check RMSE of the best selection falls, its independent RMSE does not.
+:alt: With more terms the selection RMSE of the best selection falls, its independent RMSE does not.
 ```
 """
 
-TABLES = """The gap is that of the check RMSE to the optimum. "Refined" runs spend three
+TABLES = """The gap is that of the selection RMSE to the optimum. "Refined" runs spend three
 quarters of the same budget on local refinement. "Optimum reached" is the number of runs, and the
 upper end of Wilson's 95 % interval of their share. Other columns are medians. Solvers without
 chance run once. `swap` is a plain local search: each step takes the best change of line and that of
@@ -450,7 +451,7 @@ A gap of a few per cent takes nearly the whole proof. So `exact` first proves a 
 
 RESIDUALS = """Residuals resist less. With `--criterion ebic` the same RFM is fitted to control and
 selection points together, and bounds of its residuals know the poles at the guard points. The
-optimum of {space} is proven in {seconds:.0f} s, the check RMSE's in {minutes:.0f} min. It has
+optimum of {space} is proven in {seconds:.0f} s, the selection RMSE's in {minutes:.0f} min. It has
 {terms} terms and an RMSE at the new points of {independent} px.
 """
 

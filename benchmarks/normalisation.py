@@ -89,7 +89,7 @@ def weighted() -> Iterator[str]:
 
 def by_hierarchy(seed: int | None, factor: float, shift: float, iterated: bool,
                  ) -> tuple[float, float, frozenset[str]]:
-    """Return check and independent RMSE [px] and terms of the best selection with a hierarchy.
+    """Return selection and independent RMSE [px] and terms of the best selection with a hierarchy.
 
     Line and sample share no term, so the best of each is the best of all its selections.
     """
@@ -168,7 +168,7 @@ def missed(task: termsel.Task, inputs: termsel.ProblemData, coefficients: FloatA
 
 def optimum(name: str, model: str, options: dict[str, Any], seed: int | None, factor: float,
             shift: float) -> tuple[float, float, frozenset[str]]:
-    """Return check and independent RMSE [px] and terms of the proven optimum."""
+    """Return selection and independent RMSE [px] and terms of the proven optimum."""
     task = prepared(name, model, options, seed)
     inputs = moved_by(task.problem.inputs, factor, shift)
     problem = SelectionProblem(inputs, terms=True, features=False, mask=inputs.options["mask"])
@@ -199,8 +199,8 @@ A selection with a *hierarchy* has each term with its parents: X²Y comes with X
 with X and Y. If the origin or the scale changes, such terms span the same polynomials.
 `--set hierarchy=true` selects among these alone.
 
-Check RMSE: of the embedded scene; after it, the median of eleven scenes. "Terms in common" is the
-share of terms that the optimum has in common with that of the first row, mean over scenes.
+Selection RMSE: of the embedded scene; after it, the median of eleven scenes. "Terms in common" is
+the share of terms that the optimum has in common with that of the first row, mean over scenes.
 Independent RMSE: median of eleven."""
 
 WEIGHTED = """
@@ -209,7 +209,7 @@ WEIGHTED = """
 With `--set weighted=true` each selection is adjusted by itself. Its equations are divided by its
 own denominators and solved again, until the distances in the image are least. So no weight is left
 that an origin could change. `exact` cannot prove such optima, as each selection has equations of
-its own; with a hierarchy all 9,025 selections of an image coordinate are tried. Check RMSE: of
+its own; with a hierarchy all 9,025 selections of an image coordinate are tried. Selection RMSE: of
 the embedded scene; after it, the median of four scenes. The rest is of four scenes.
 
 | coordinates | hierarchy: check [px] | terms in common | independent [px] | \

@@ -249,8 +249,8 @@ Seconds are those of one processor for one choice, which a run repeats up to 20 
 
 ## Constants
 
-The geometric mean, over splits, of auto's independent RMSE divided by that of the best plain
-structure of the split; old-map, one sheet, strong, paper alone, the real maps and s1_grd_iw at 20
+The geometric mean, over splits, of auto's independent RMSE divided by that of the best conventional
+model of the split; old-map, one sheet, strong, paper alone, the real maps and s1_grd_iw at 20
 and 74 points. Of probabilities the odds are halved and doubled.
 
 {sensitivity(min(asked.splits, 2))}

@@ -1,8 +1,8 @@
-"""Is a lower check RMSE a better model? Ten scenes of third order with 1,000 check points each.
+"""Is a lower selection RMSE a better model? Ten scenes of third order with 1,000 check points each.
 
 ``python -m benchmarks.overfitting --kept FILE`` prints the page; what FILE holds is not repeated,
 and ``--write`` puts the page into docs/evidence. On each scene the GA and the local search by axis
-minimise the check RMSE of the RFM of 78 terms.
+minimise the selection RMSE of the RFM of 78 terms.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ RESAMPLES = 2000
 
 @dataclass(frozen=True)
 class Row:
-    """One scene: check and independent RMSE [px] of runs of the GA, of local search, of plain."""
+    """One scene: selection and independent RMSE [px] of the GA, of local search, of plain."""
 
     name: str
     ga: FloatArray  # (RUNS, 2)
@@ -45,7 +45,7 @@ class Row:
 
     @property
     def correlation(self) -> float:
-        """Rank correlation of check and independent RMSE, of all runs."""
+        """Rank correlation of selection and independent RMSE, of all runs."""
         return float(spearmanr(*np.vstack([self.ga, self.local]).T).statistic)
 
 
@@ -133,13 +133,13 @@ def main() -> None:
     put("overfitting", "\n".join(page(rows)), write=asked.write)
 
 
-HEAD = """# Is a lower check RMSE a better model?
+HEAD = """# Is a lower selection RMSE a better model?
 
 Made by `python -m benchmarks.overfitting --write`: ten simulated scenes of five sensors, each with
 24 control, 24 check and **1,000 independent check points**. The RFM has all 78 terms to choose
 from.
 
-Two searches minimise the check RMSE: the GA ({runs} runs of {evaluations} evaluations, without
+Two searches minimise the selection RMSE: the GA ({runs} runs of {evaluations} evaluations, without
 local refinement; medians are shown) and a local search by axis, the solver `swap` with {local}
 evaluations. Line and sample share no term, so it searches each axis by itself. The quadratic
 polynomial is fitted to control and selection points. The rank correlation is that of check and
@@ -153,10 +153,10 @@ Means over the ten scenes, with intervals of 95 % by resampling scenes:
 
 | what | mean |
 |---|---:|
-| check RMSE of local search, to that of the GA | {check} |
+| selection RMSE of local search, to that of the GA | {check} |
 | independent RMSE of local search, to that of the GA | {ratio} |
 | independent RMSE of local search, to that of the quadratic polynomial | {plain} |
-| rank correlation of check and independent RMSE | {rank} |
+| rank correlation of selection and independent RMSE | {rank} |
 
 What `swap` finds next to a proven optimum is on the page on
 [the optimum of the RFM of 78 terms](gap-to-optimum.md).

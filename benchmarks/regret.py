@@ -51,7 +51,8 @@ def page() -> Iterator[str]:
                f"{np.median([mine[0] for mine, _ in rows]):.3f} | {of_three(regret)} |")
     yield JOINT.format(few=FEW, scenes=len(JOINT_SEEDS), new=JOINT_NEW)
     joint = [terms_and_features(seed) for seed in JOINT_SEEDS]
-    yield "| what was chosen | check RMSE [px] | new points [px] | regret |\n|---|---:|---:|---:|"
+    yield ("| what was chosen | selection RMSE [px] | new points [px] | regret |\n"
+           "|---|---:|---:|---:|")
     for name in joint[0]:
         check, new = (np.array([one[name][i] for one in joint]) for i in (0, 1))
         regret = 100 * (new / np.array([one["the best in hindsight"][1] for one in joint]) - 1)
@@ -135,7 +136,7 @@ def nested(features: termsel.FeatureSet) -> tuple[str, ...]:
 
 
 def terms_and_features(seed: int) -> dict[str, tuple[float, float]]:
-    """Return check RMSE and RMSE of new points [px] of optima over terms, features, and both.
+    """Return selection RMSE and RMSE of new points [px] of optima over terms, features, and both.
 
     All selections of an RFM of first order are evaluated, for all selections of the control points.
     """
@@ -171,7 +172,7 @@ def terms_and_features(seed: int) -> dict[str, tuple[float, float]]:
 
 def _optima(squares: FloatArray, whole: dict[str, BoolArray], pixels: float,
             counts: tuple[int, int]) -> dict[str, tuple[float, float]]:
-    """Return check RMSE and RMSE of new points [px] of the optima."""
+    """Return selection RMSE and RMSE of new points [px] of the optima."""
     def best(by: int, rows: BoolArray, columns: BoolArray) -> tuple[float, float]:
         some = squares[:, :, rows][:, :, :, columns]
         # Line and sample have terms of their own, and the features in common.
@@ -203,10 +204,10 @@ Made by `python -m benchmarks.regret --write`: {scenes} simulated scenes of `iko
 much its RMSE of new points is above that of the best selection in hindsight.
 
 An RFM of second order has 19 terms per image coordinate, 1,048,576 selections of both. `exact`
-decides all of
-them by each criterion: the least check RMSE, or least `press`, `kfold` or `ebic` over control and
-selection points together. All selections are then fitted to control and selection points together,
-so that only the choice differs. In hindsight, `exact` minimises the RMSE of the new points.
+enumerates or excludes all of them by each criterion: the least selection RMSE, or least `press`,
+`kfold` or `ebic` over control and selection points together. All selections are then fitted to
+control and selection points together, so that only the choice differs. In hindsight, `exact`
+minimises the RMSE of the new points.
 
 *Nested cross-validation* proves, without each of {folds} folds, the best selection of each size by
 `press`; the fold judges the sizes, and the size that errs least over all folds is taken.

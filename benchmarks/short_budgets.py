@@ -233,7 +233,7 @@ best of parents and children, no copies among them and tournaments of 2, had a m
 look at the scenes of this page, where the best of both had 1.54 and 1.12: in this one choice the
 scenes took part.
 
-A lower objective is no better model: see [A lower check RMSE](overfitting.md).
+A lower objective is no better model: see [A lower selection RMSE](overfitting.md).
 """
 
 

@@ -26,10 +26,11 @@ Made by the studies `benchmarks/solver-table-terms.toml`, `solver-table-exact.to
 `ikonos-hamedan` is embedded and simulated. Every search has 10,000 evaluations, and its paper's
 options; one that is repeated without blunders has them again. A solver that is "refined" has the
 same budget, of which the local refinement takes three quarters. Values are the fitness, the
-check RMSE [px]. "Optimum reached" counts the seeds that end at the proven optimum, where `exact`
-can find it within seconds; its interval is that of Wilson. Solvers without chance run once, and are
-not refined. The independent RMSE, evaluations and CPU seconds are medians. `exact` has a section of
-its own: it decides most selections without an evaluation, so its evaluations do not show its cost.
+selection RMSE [px]. "Optimum reached" counts the seeds that end at the proven optimum, where
+`exact` can find it within seconds; its interval is that of Wilson. Solvers without chance run once,
+and are not refined. The independent RMSE, evaluations and CPU seconds are
+medians. `exact` has a section of its own: it excludes most selections without an evaluation, so its
+evaluations do not show its cost.
 The optimum of `rfm-terms` is proven by a run of its own, as it takes minutes: no selection of up to
 16 terms per image coordinate is below 0.7201 px. Its RMSE of 1,000 new points is 1.021 px.
 

@@ -122,9 +122,9 @@ HEAD = """# Akhoundi Khezrabad et al. 2020
 
 Made by `python -m benchmarks.paper_tables akhoundi --write`: {runs} runs of each case and
 population of `akhoundi-2020`, without local refinement; the paper has 5. **The data here are
-simulated**: 24 control, 24 check and 26 independent check points as in the paper. RMSE [px]. A run
-with a check RMSE of {failed} px or more has "failed"; means are over the others. "Iterations" count
-until the last gain.
+simulated**: 24 control, 24 selection and 26 independent check points as in the paper. RMSE [px]. A
+run with a selection RMSE of {failed} px or more has "failed"; means are over the others.
+"Iterations" count until the last gain.
 """
 WORDS = """## What agrees, what does not, and why
 

@@ -142,9 +142,9 @@ def _proven_lines(content: Any) -> tuple[list[str], int]:
                      f"{axis.k} terms are enumerated or excluded in {steps:,} steps, "
                      f"{undecided:,} are open")
     restriction = f" in {axes[0].name}, of this axis alone" if len(axes) == 1 else ""
-    lines.append(f"check RMSE of the selection: {float(total * share) ** 0.5:.6f} px{restriction}")
+    lines.append(f"RMSE at the selection points: {float(total * share) ** 0.5:.6f} px{restriction}")
     if not open_:
-        lines.append("no selection has a check RMSE below "
+        lines.append("no selection has an RMSE there below "
                      f"{float(sum(a.limit for a in axes) * share) ** 0.5:.6f} px{restriction}")
     return lines, open_
 

@@ -36,7 +36,7 @@ def test_the_optimum_of_the_rfm_has_the_figures_of_the_page():
     names = list(task.problem.decode(np.ones(task.problem.genome.size, dtype=bool)).terms)
     result = termsel.assess(termsel.GivenGenes(np.isin(names, gap.OPTIMUM.split())), task)
     said = (PAGES / "gap-to-optimum.md").read_text()
-    assert f"**The least check RMSE is {result.rmse['check'].total:.4f} px**" in said
+    assert f"**The least selection RMSE is {result.rmse['check'].total:.4f} px**" in said
     said_of_new = row("gap-to-optimum", "the optimum")[1].split()[0]
     assert said_of_new == f"{result.rmse['independent'].total:.3f}"
 

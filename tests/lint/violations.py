@@ -40,6 +40,20 @@ def pages(root: Path) -> Iterator[Path]:
             yield path
 
 
+SHOWN = ("*.html", "*.js", "*.ipynb", "*.svg", "*.cff", "metadata.txt")
+"""Files next to modules and pages whose words people read: in a browser, a chart or QGIS."""
+
+
+def shown_files(root: Path) -> Iterator[Path]:
+    """Yield the files with words for a browser, a chart or QGIS, without tests and built ones."""
+    yield from sorted(root.glob("*.cff"))
+    for folder in ("src", "plugins", "docs", "paper"):
+        for pattern in SHOWN:
+            for path in sorted((root / folder).rglob(pattern)):
+                if not {"tests", "_build", "vendor"} & {*path.relative_to(root).parts}:
+                    yield path
+
+
 def line_at(text: str, position: int) -> int:
     """Return the number of the line that holds a position of a text."""
     return text.count("\n", 0, position) + 1

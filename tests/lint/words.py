@@ -8,7 +8,7 @@ import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 
-from tests.lint.violations import Violation, code_files, line_at, pages
+from tests.lint.violations import Violation, code_files, line_at, pages, shown_files
 
 _START, _END = r"(?<![a-z])", r"(?![a-z])"
 # Underscores do not end a word in identifiers, so the ends are letters, not \b.
@@ -34,9 +34,20 @@ def terms_to_avoid(page: str) -> Iterator[tuple[str, str]]:
                 yield term, written
 
 
+# Texts are broken over lines, comments and strings: between two words may stand all of these.
+_BETWEEN = r"(?:[\s_#*>\"'-]|(?<=[\s\"'])[fr](?=[\"']))+"
+
+
+def any_form(term: str) -> str:
+    """Return a pattern of a term whose words are singular or plural, broken anywhere between."""
+    forms = [re.escape(word.removesuffix("s") if len(word) > 3 else word) + "s?"
+             for word in term.split()]
+    return _BETWEEN.join(forms)
+
+
 REFUSED = [(re.compile(f"{_START}{word}{_END}", re.IGNORECASE), instead)
            for word, instead in WORDS.items()]
-REFUSED += [(re.compile(f"{_START}{re.escape(term)}s?{_END}", re.IGNORECASE), written)
+REFUSED += [(re.compile(f"{_START}{any_form(term)}{_END}", re.IGNORECASE), written)
             for term, written in terms_to_avoid(TERMS.read_text(encoding="utf-8"))]
 REFUSED.append((re.compile(
     r"\[(nano-)?pixels?\b|(?<![\w.])\d[\d,.]*[ -]pixels?\b|\}\s?pixels?\b|"
@@ -46,7 +57,7 @@ PROSE_POLISH = re.compile(r"""(?<![\w.`=/-])(?!(?<=["'])polish(ed)?["'])"""
                           r"polish(es|ed|ing)?(?![\w`=(])", re.IGNORECASE)
 PARAMETER = re.compile(r"^[\w, ]+ : .*$", re.MULTILINE)  # as numpydoc declares them
 # Public names that hold a left-out word: changing them would break callers.
-NAMES = re.compile(r"\bwrong_lines\b")
+NAMES = re.compile(r"\bwrong_lines\b|\bcheck-rmse\b")
 
 
 def _blank(match: re.Match[str]) -> str:
@@ -56,7 +67,7 @@ def _blank(match: re.Match[str]) -> str:
 
 def _prose(path: Path, text: str) -> str:
     """Return what of a file is prose, in its lines: comments and strings, pages without code."""
-    if path.suffix == ".md":
+    if path.suffix != ".py":
         # The marks stay, as a word right before or after them is code too.
         return re.sub(r"(?<=^```).*?(?=^```$)|(?<=`)[^`\n]+(?=`)", _blank, text,
                       flags=re.MULTILINE | re.DOTALL)
@@ -83,7 +94,7 @@ def left_out_words(path: Path, text: str) -> Iterator[tuple[int, str]]:
 
 def violations(root: Path) -> Iterator[Violation]:
     """Yield every left-out word below a root."""
-    for path in (*code_files(root), *pages(root)):
+    for path in (*code_files(root), *pages(root), *shown_files(root)):
         if path == TERMS or path.name == "CHANGELOG.md":  # which tells of earlier versions
             continue
         text = path.read_text(encoding="utf-8")

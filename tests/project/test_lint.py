@@ -15,6 +15,8 @@ REFUSED = (
     "a fault the user can mend", "MENDABLE = 2", "a plain structure", "Places are pixels",
     "control is shared\nout among folds", "they bear on the model", "driven down",
     "a doubtful line", "one wrong point", "it speaks of a file", "terms free in effect",
+    "plain\nstructures", "a point that\n    # judges", "the check RMSE",
+    'f"{most} terms "\n    f"an axis"', "plane_polynomial", "a measurement of control",
     "RMSE [pixel]", "0.5 pixel", "12 pixels", "f'{noise} pixels'", "followed by a polish.")
 ACCEPTED = (
     "recommended amendments of Mendes", "shared denominators, a share of the outliers",

@@ -107,7 +107,7 @@ def test_selections_above_their_limit_are_ruled_out_and_no_others() -> None:
 
 
 def rmse_of_affine(scene: FeatureSet, chosen: tuple[int, ...]) -> float:
-    """Return the check RMSE of the affine model of some control points, by LAPACK."""
+    """Return the selection RMSE of the affine model of some control points, by LAPACK."""
     points, roles = scene.points, np.array(scene.points.roles)
     middle = points.ground.mean(axis=0)
     A = np.column_stack([np.ones(len(points)), (points.ground - middle) / 1000])

@@ -62,7 +62,7 @@ def lines(directions: FloatArray) -> Lines:
 
 
 def observed(*, check: float = 1.0, independent: float = 1.0, n_control: int = 25) -> Observations:
-    """Exact control, check and independent points with constant errors [px]."""
+    """Exact control, selection and independent check points with constant errors [px]."""
     middle = GRID[[6, 7, 8, 11, 12, 13]]
     return observations_by_role(FeatureSet(joined(points("C", "control", GRID[:n_control]),
                                                   points("K", "check", middle, check),

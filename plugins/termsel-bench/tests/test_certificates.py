@@ -271,11 +271,11 @@ def test_scores_of_axes_of_one_image_are_added(proof: tuple[dict[str, Any], Path
     alone = _checked(content, folder)[0]
     both = _checked({**content, "axes": _copies(axis)}, folder)[0]
     value = (axis["limit"] / 7) ** 0.5
-    assert alone[-1] == (f"no selection has a check RMSE below {value:.6f} px in line, of this "
+    assert alone[-1] == (f"no selection has an RMSE there below {value:.6f} px in line, of this "
                          "axis alone")
-    assert alone[-2] == f"check RMSE of the selection: {value:.6f} px in line, of this axis alone"
-    assert both[-1] == f"no selection has a check RMSE below {2**0.5 * value:.6f} px"
-    assert both[-2] == f"check RMSE of the selection: {2**0.5 * value:.6f} px"
+    assert alone[-2] == f"RMSE at the selection points: {value:.6f} px in line, of this axis alone"
+    assert both[-1] == f"no selection has an RMSE there below {2**0.5 * value:.6f} px"
+    assert both[-2] == f"RMSE at the selection points: {2**0.5 * value:.6f} px"
 
 
 def test_axes_of_other_points_or_pixels_are_not_added(proof: tuple[dict[str, Any], Path]) -> None:

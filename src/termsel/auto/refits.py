@@ -19,8 +19,8 @@ def held_out_by_refits(fit: Callable[[FitData], Fit], features: FeatureSet, *,
     """Return the errors of features by fits without them, in folds spread over the scene.
 
     This is for the `Method.held_out` of methods that choose, or whose estimator has no closed form:
-    the whole of `fit` is repeated, as many times as the choice of "auto" is. Below 40 points each
-    feature is a fold.
+    the whole of `fit` is repeated, as many times as the strategy "auto" repeats its choice. Below
+    40 points each feature is a fold.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ EXIT_FAILED = 1
               help="An option for every run that has it; may be repeated.")
 @click.option("--seeds", type=Whole(1, MOST_RUNS), help="Seeds 1 to N.")
 @click.option("--splits", type=Whole(1, MOST_RUNS),
-              help="Draws of control, check and independent points, for points without a role.")
+              help="Draws of the roles of points, for points without one.")
 @click.option("--evaluations", type=Whole(1, 10**12),
               help="Budget of each search; that of exact is --seconds, as it looks at many subsets "
                    "in one step.")

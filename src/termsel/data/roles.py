@@ -337,9 +337,10 @@ def assign_roles(
 ) -> tuple[str, ...]:
     """Return a role for each point, control, check or independent, by its place on the ground.
 
-    `fractions` are the shares of control, check and independent points, of any sum. `lines` says
-    whether lines are the control: the share of control points is 0 then. `crs` is that of the
-    points. Raises TermselError for negative shares, or if control (with lines: check) has none.
+    `fractions` are the shares of control, selection and independent check points, of any sum.
+    `lines` says whether lines are the control: the share of control points is 0 then. `crs` is
+    that of the points. Raises TermselError for negative shares, or if control (with lines: check)
+    has none.
     """
     # Control needs a share, or check if lines are the control, as points then are none.
     first_role = 1 if lines else 0
@@ -433,8 +434,8 @@ def observe(
     off. Without a `split` the roles of the file stay, and blank ones are stratified; a split
     disregards the file's roles, except "off". Twins that are assigned share a role, and so do the
     points on a line of a lattice, which show each other. `fractions` are the shares of control,
-    check and independent among the points that are assigned; with control from lines alone, all
-    become check and independent points.
+    selection and independent check points among those that are assigned; with control from lines
+    alone, all become selection and independent check points.
 
     Raises TermselError if there are no features that could be the control.
     """
@@ -540,7 +541,7 @@ def check_as_control(observations: Observations) -> Observations:
 
 
 def parse_shares(text: str, needs_check: bool) -> tuple[float, ...]:
-    """Return the shares of control, check and independent points, from an option like "1:1:1".
+    """Return the shares of control, selection and independent check points, from "1:1:1".
 
     Raises TermselError for other than three finite numbers of at least 0, and for a share 0 of
     check points where the criterion needs them.

@@ -100,10 +100,10 @@ def _select_features(control: FitData, seed: int) -> FitData | None:
     """
     features = control.features
     points = features.points
-    judging_points = Points(points.ids, points.image, points.ground, points.sigma,
+    selection_points = Points(points.ids, points.image, points.ground, points.sigma,
                             ("check",) * len(points))
     try:
-        task = prepare("owdis-lines", features=features.with_(points=judging_points),
+        task = prepare("owdis-lines", features=features.with_(points=selection_points),
                        model="poly3d" if control.heights else "poly2d", source="control and check")
     except TermselError:  # too few lines, or all parallel
         return None

@@ -186,7 +186,7 @@ FILE = "file"
 """The roles of the file, in place of a split."""
 
 EQUAL_SHARES = "1:1:1"
-"""Shares of control, check and independent points for a search."""
+"""Shares of control, selection and independent check points for a search."""
 
 SEVERAL_OBJECTIVES = "nsga2"
 """The solver where several objectives are asked for and no solver is."""

@@ -106,7 +106,7 @@ class Search(TaskMethod):
     def held_out(self, fitted: Fit) -> HeldOut:
         """Return the errors of features where the whole search is made again without them.
 
-        It is repeated in as many folds as the choice of "auto" is, so it takes so many times as
+        It is repeated in as many folds as the strategy "auto" uses, so it takes so many times as
         long as `fit`. The errors are those of all features, selected or not.
         """
         return held_out_by_refits(self.fit, fitted.control, heights=fitted.model.uses_height)

@@ -203,7 +203,7 @@ miss these: without a quarter of 60 points the RMSE is 4 % higher, without a qua
 40 13, 6 and 9 % (docs/explanation/roles.md)."""
 
 ALL_CONTROL, SPARED = "1:0:0", "3:3:2"
-"""Shares of control, check and independent points below `MANY` points, and from there on."""
+"""Shares of control, selection and independent check points below `MANY` points, and above."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -440,8 +440,8 @@ def observe(request: Request, fewest: int = MIN_CONTROL) -> Observations:
 def with_shares(request: Request, *, auto: bool = False) -> Request:
     """Return a request with the shares of the roles, where the option does not give them.
 
-    A search keeps check and independent points, which judge it. The strategy `auto` holds control
-    out instead, and sets independent points aside only where there are `MANY`.
+    A search keeps selection and independent check points, which judge it. The strategy `auto`
+    holds control out instead, and sets independent points aside only where there are `MANY`.
     """
     of_data = request.options["data"]
     if of_data["fractions"] is not None:

@@ -26,7 +26,7 @@ class Scene:
     drift: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
     jitter: tuple[float, float]  # amplitudes of roll and pitch [px]
     relief: float  # rms of what no low polynomial fits [m]
-    roles: tuple[int, int, int]  # numbers of control, check and independent points
+    roles: tuple[int, int, int]  # numbers of control, selection and independent check points
     lines: int = 0
     wrong_lines: int = 0  # mismatched ones among them
     noise: float = 0.5  # standard deviation of line and sample [px]

@@ -86,7 +86,7 @@ def simulate_scene(
     wrong_lines : int, optional
         Number of mismatched lines; by default the scene's fraction of `n_lines`.
     roles : tuple of int, optional
-        Numbers of control, check and independent points, instead of `n_points`.
+        Numbers of control, selection and independent check points, instead of `n_points`.
 
     Returns
     -------
@@ -263,7 +263,7 @@ def _noise_free_features(name: str, seed: int | None, roles: tuple[int, int, int
                          n_lines: int) -> tuple[Points, Lines]:
     """Return points and lines free of noise.
 
-    `roles` are the numbers of control, check and independent points.
+    `roles` are the numbers of control, selection and independent check points.
     """
     scene = _scene_of_name(name)
     point_rng, line_rng = _random_streams(scene, seed)[:2]
@@ -273,9 +273,9 @@ def _noise_free_features(name: str, seed: int | None, roles: tuple[int, int, int
 def _noise_free_points(scene: Scene, rng: Generator, numbers: tuple[int, int, int]) -> Points:
     """Return points free of noise, spread over the image as a whole and role by role.
 
-    `numbers` are those of control, check and independent points. Each point is the one of many
-    candidates that is farthest from the others (Mitchell 1991), over all points and over those of
-    its role, as surveyors spread them. The first two control points are at the lowest and the
+    `numbers` are those of control, selection and independent check points. Each point is the one of
+    many candidates that is farthest from the others (Mitchell 1991), over all points and over those
+    of its role, as surveyors spread them. The first two control points are at the lowest and the
     highest place, so that the control spans the relief.
     """
     count = sum(numbers)

@@ -56,7 +56,7 @@ class SelectedControl:
     ties : tuple of str
     search : SearchResult
     check, check_of_all : float
-        RMSE of the check points with the selection and with all candidates [px], linearised.
+        RMSE at selection points with the selection and with all candidates [px], linearised.
     result : BlockResult
         The block adjusted with the selection alone.
     independent, independent_of_all : float or None
@@ -83,7 +83,7 @@ class SelectedControl:
 
 
 class OwdisBlock(Problem):
-    """Select control and ties of a block, so that the check points of all images are best met.
+    """Select control and ties of a block, so that the selection points of all images are best met.
 
     The block is adjusted with all candidates and linearised there. Control adds its rows, a tie
     those that are left when its place is eliminated; priors are in every selection. What is a
@@ -134,7 +134,7 @@ class OwdisBlock(Problem):
         self._prior = design.T @ design, design.T @ target
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
-        """Return the RMSE of the check points [px] after adjustments with some candidates.
+        """Return the RMSE at selection points [px] after adjustments with some candidates.
 
         `genes` (n, candidates) say which candidates each of n adjustments has.
         """
@@ -289,10 +289,10 @@ def _count_parameters(result: BlockResult) -> int:
 
 
 def _rows_of_check_points(block: Block, result: BlockResult) -> tuple[FloatArray, FloatArray]:
-    """Return the rows (n, p) of the check points of all images, and their errors (n,) [px].
+    """Return the rows (n, p) of the selection points of all images, and their errors (n,) [px].
 
     A row has the derivatives of line or sample by the parameters of all images; the errors are
-    those in the block of all candidates. Raises TermselError if there are no check points.
+    those in the block of all candidates. Raises TermselError if there are no selection points.
     """
     # About the block of all candidates, the errors of a selection are target - design x.
     design = []

@@ -15,8 +15,8 @@ class E50PerArea(Criterion):
 
     Konugurthi et al. 2016 maximise A / E50; termsel minimises its inverse. The fitness is named on
     pages 381 and 383; the page with its formula could not be consulted. Here A is the share of the
-    image inside the hull of the selected points, and E50 the median distance over all points that
-    judge. Up to half of these may be blunders.
+    image inside the hull of the selected points, and E50 the median distance over all
+    selection points. Up to half of these may be blunders.
     """
 
     name = "e50-area"

@@ -32,7 +32,7 @@ _IN_PIXELS = ("check-rmse", "kfold", "press", "median", "huber")
 
 
 def front_chart(view: View) -> Any:
-    """Return a chart of the front: RMSE of check and independent points against size.
+    """Return a chart of the front: RMSE at selection and independent check points against size.
 
     The size is the number of terms or features. Each member of the front is one selection, its size
     along x. The recommended one has a ring. A click on a member shows its selection in the other

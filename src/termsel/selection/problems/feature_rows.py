@@ -24,7 +24,7 @@ def row_systems(inputs: ProblemData, independent: tuple[IndependentPart, ...], t
     the mask `terms` (k,) are in use; `share` and `freedom` are those of `largest_term_share`. No
     system is returned where no rows say what a selection scores.
     """
-    # A walk scores by the check RMSE, of image positions that are linear in the terms.
+    # A walk scores by the selection RMSE, of image positions that are linear in the terms.
     if type(inputs.criterion).score is not CheckRmse.score:
         return ()
     linear = _linearised_selection_points(inputs)

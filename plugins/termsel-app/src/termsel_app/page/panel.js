@@ -34,7 +34,7 @@ export function sized(value) {
   return value >= 1e-4 ? value.toPrecision(2) : Number(value.toPrecision(2)).toString();
 }
 
-/** A coordinate with as many digits as its size calls for. @param {number | null | undefined} value */
+/** A coordinate with as many digits as its size needs. @param {number | null | undefined} value */
 export function coordinate(value) {
   if (value === null || value === undefined) return "";
   return value.toFixed(Math.abs(value) <= 360 && !Number.isInteger(value) ? 6 : 2);

@@ -100,12 +100,12 @@ export class Pane {
   }
 
   /**
-   * Return the feature of the control at a pixel of the screen.
-   * @param {number[]} pixel
+   * Return the feature of the control at a position on the screen.
+   * @param {number[]} position
    * @returns {any}
    */
-  at(pixel) {
-    return this.map.forEachFeatureAtPixel(pixel, feature => feature, {
+  at(position) {
+    return this.map.forEachFeatureAtPixel(position, feature => feature, {
       hitTolerance: NEAR, layerFilter: layer => layer === this.controlLayer,
     });
   }

@@ -74,7 +74,7 @@ class Cubic:
         return coefficients
 
     def fitness(self, genes: BoolArray) -> float:
-        """Return the RMSE [px] at the check points.
+        """Return the RMSE [px] at the selection points.
 
         It is `UNDETERMINED` if an axis has as many terms as there are control points, or more.
         """

@@ -28,10 +28,10 @@ MIN_QUADRATIC_POINTS = 20
 class Ransac(Method):
     """Polynomial of the points that agree best, affine or, from 20 points on, quadratic.
 
-    So many times as `trials` says, as few points as the polynomial has terms an axis determine it,
-    and all points within `threshold` of it vote for it. The points that vote for the best are
-    fitted by least squares; the others take no part. Fischler and Bolles 1981, Communications of
-    the ACM 24(6).
+    So many times as `trials` says, as few points as the polynomial has terms per image
+    coordinate determine it, and all points within `threshold` of it vote for it. The points that
+    vote for the best are fitted by least squares, without the others. Fischler and Bolles 1981,
+    Communications of the ACM 24(6).
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class Ransac(Method):
         n_terms = design.shape[1]
         if len(scaled) <= n_terms:
             raise Undetermined(f"{len(scaled)} points are too few for RANSAC with {n_terms} terms "
-                               "an axis", hint=f"Measure at least {n_terms + 1}.")
+                               "per image coordinate", hint=f"Measure at least {n_terms + 1}.")
         rng = np.random.default_rng(self.seed)
         draws = rng.permuted(
             np.tile(np.arange(len(scaled)), (self.trials, 1)), axis=1)[:, :n_terms]
