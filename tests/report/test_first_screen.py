@@ -111,6 +111,9 @@ CASES: dict[str, dict[str, Any]] = {
     "exact-unproven": {**SEARCHED, "solver": "exact", "certificate": {
         "optimal": False, "subsets": 1_250_000, "of": 2**40, "space": "all selections",
         "gap": 0.031, "bound": 2.91}, "blunder_test": outlier_test(9.0)},
+    "exact-stopped": {**SEARCHED, "solver": "exact", "certificate": {
+        "optimal": False, "subsets": 0, "of": 2**40, "space": "all selections", "bound": 0.0},
+        "blunder_test": outlier_test(9.0)},
     "several-objectives": {**SEARCHED, "solver": "nsga2", "front": front("n_features", (8, 12, 30)),
                            "blunder_test": outlier_test(9.0)},
     "infeasible": {"feasible": False},

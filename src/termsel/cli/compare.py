@@ -31,7 +31,7 @@ EXIT_FAILED = 1
 @click.option("--problem", metavar="NAMES", shell_complete=complete("problems"),
               help="Problems, with commas between them.")
 @click.option("--dataset", metavar="NAMES", shell_complete=complete("datasets"),
-              help="Data sets, likewise; each problem's own by default.")
+              help="Data sets, with commas between them; by default each problem's own.")
 @click.option("--points", metavar="FILES", multiple=True,
               help="Files of points, an image each; a pattern in quotes stands for many files.")
 @click.option("--lines", metavar="FILES", multiple=True,
@@ -46,11 +46,12 @@ EXIT_FAILED = 1
 @click.option("--model", metavar="NAMES", shell_complete=complete("models"),
               help="Sensor models, with commas between them.")
 @click.option("--solver", metavar="NAMES", shell_complete=complete("solvers"),
-              help="Solvers, likewise.")
+              help="Search methods, with commas between them.")
 @click.option("--criterion", metavar="NAMES", shell_complete=complete("criteria"),
-              help="Criteria, likewise.")
+              help="Criteria of a search, with commas between them.")
 @click.option("--method", metavar="NAMES", shell_complete=complete("methods"),
-              help="Methods in place of the automatic choice, likewise; auto is that choice.")
+              help="Methods in place of the automatic choice, with commas between them; auto is "
+                   "that choice.")
 @click.option("--strategy", metavar="NAMES",
               help="auto, as-asked or both. By default auto, unless models, solvers, criteria or "
                    "a budget are given.")

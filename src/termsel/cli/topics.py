@@ -12,7 +12,7 @@ from termsel.cli.messages import echo
 TOPICS: Mapping[str, Mapping[str, str]] = {
     "Input": {
         "points": "Points, in any format of `termsel list readers`.",
-        "lines": "Control lines, likewise.",
+        "lines": "Control lines, in any format of `termsel list readers`.",
         "image": "The image: its size, and its RPC if it has one.",
         "rpc": "The vendor's RPC, which auto corrects by the points.",
         "dem": "Raster of heights, for points that have none.",

@@ -212,7 +212,9 @@ class Option:
 
 
 def _plain_number(bound: float) -> str:
-    """Return a bound as people write it: 1,000,000 and not 1e+06."""
+    """Return a bound as people write it: 1,000,000 and not 1e+06, 2^63 - 1 and not 9.2e+18."""
+    if bound == 2**63 - 1:  # the largest whole number of 64 bits
+        return "2^63 - 1"
     return f"{bound:,.0f}" if 1e5 <= abs(bound) < 1e13 and bound == int(bound) else f"{bound:g}"
 
 

@@ -650,12 +650,11 @@ def _facts_on_search(record: Record) -> Iterator[str]:
         elif isinstance(certificate.optimum, float) and isinstance(certificate.gap, float):
             yield (f"optimality gap {percent_text(certificate.gap)}; --solver exact finds the "
                    "optimum")
-        elif isinstance(certificate.gap, float):
-            # A gap of more than the bound itself tells nothing of the selection.
-            if certificate.gap > 1.0:
-                yield "not proven: no selection is excluded yet, for lack of time"
-            else:
-                yield f"not proven: optimality gap at most {percent_text(certificate.gap)}"
+        elif isinstance(certificate.gap, float) and certificate.gap <= 1.0:
+            yield f"not proven: optimality gap at most {percent_text(certificate.gap)}"
+        elif isinstance(certificate.gap, float) or record.solver in _PROVING:
+            # No bound, or one of which the gap is a multiple, tells nothing of the selection.
+            yield "not proven: no selection is excluded yet, for lack of time"
     if len(record.front) > 1:
         sizes = [int(next(iter(member.objectives.values())) or 0) for member in record.front]
         noun = next(iter(record.front[0].objectives)).removeprefix("n_")

@@ -195,16 +195,16 @@ DATA_OPTIONS = (
     Option("roles", FILE, "Roles of points: those of the file, with blank ones assigned by "
            "place; or all assigned by a split: stratified (by place), random, or one of a plugin "
            "(termsel list splits)."),
-    Option("off", None, "Ids of features that take no part, with commas between them (--off)."),
+    Option("off", None, "Ids of features to leave out, with commas between them (--off)."),
     Option("role", None, "Roles of single points, whatever the file says, as ID=ROLE with commas "
            "between them (--role)."),
-    Option("fractions", None, "Shares of control, check and independent check points among those "
-           "that are assigned a role, such as 2:1:1. By default 1:1:1; the strategy auto makes all "
-           "control below 60 points, and takes 3:3:2 from there."),
+    Option("fractions", None, "Shares of control, selection and independent check points among "
+           "those that are assigned a role, such as 2:1:1. By default 1:1:1; the strategy auto "
+           "makes all control below 60 points, and takes 3:3:2 from there."),
     Option("split", 0, "Seed by which roles are assigned.", int, 0, SEED),
-    Option("check_as", None, "What selection points are: judges of each selection, or further "
-           "control. By default judges; where points are the control and the criterion needs no "
-           "check points, control.", choices=("judge", "control")),
+    Option("check_as", None, "What becomes of selection points: judge compares selections by them, "
+           "control fits the model to them, too. By default judge; where points are the control "
+           "and the criterion needs no selection points, control.", choices=("judge", "control")),
     Option("tested", None, "Whether blunders among control and selection points were looked for "
            "before, as in a block of images: then they are not here.", bool),
     FIT_CRS,

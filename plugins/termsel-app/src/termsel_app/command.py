@@ -27,7 +27,8 @@ EXAMPLE = "termsel-example"
                    "repeated.")
 @click.option("--points", metavar="FILE", type=_FILE,
               help="Points to begin with, in any format of `termsel list readers`.")
-@click.option("--lines", metavar="FILE", type=_FILE, help="Control lines, likewise.")
+@click.option("--lines", metavar="FILE", type=_FILE,
+              help="Control lines, in any format of `termsel list readers`.")
 @click.option("--rpc", metavar="FILE", type=_FILE, help="The vendor's RPC of the image, which the "
                                                         "points correct.")
 @click.option("--dem", metavar="FILE", type=_FILE, help="Raster of heights, for points on the map.")

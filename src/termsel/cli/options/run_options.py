@@ -39,7 +39,7 @@ _OPTIONS = (
     click.option("--points", metavar="FILE", type=click.Path(path_type=Path),
                  help="Points, in any format of `termsel list readers`."),
     click.option("--lines", metavar="FILE", type=click.Path(path_type=Path),
-                 help="Control lines, likewise."),
+                 help="Control lines, in any format of `termsel list readers`."),
     click.option("--areas", metavar="FILE", type=click.Path(path_type=Path),
                  help="Areas, by their corners: as lines along their edges, or as centroids if "
                       "points are the control; --set areas_as=boundary or centroid chooses."),

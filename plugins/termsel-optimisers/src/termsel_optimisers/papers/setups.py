@@ -50,7 +50,7 @@ PAPERS = (
            solver="ga", solver_options={"ga": {"survival": "children"}}, patience=PATIENCE,
            refined=False, source=YAVARI),
     Recipe("akhoundi-2020", "Terms of an RFM of 78 by a GA with a population guided by "
-           "correlation, IKONOS with 24 control, 24 check and 26 independent check points.",
+           "correlation, IKONOS with 24 control, 24 selection and 26 independent check points.",
            select_terms, model="rfm", dataset="ikonos-hamedan",
            options=with_defaults(OF_TERMS, max_share=1.0), solver="ga-correlation",
            solver_options={"ga": AKHOUNDI_GA, "ga-correlation": AKHOUNDI_GA}, patience=PATIENCE,
