@@ -291,6 +291,18 @@ def test_the_solver_of_a_second_step_is_told(steps: str, solvers: str) -> None:
     assert f", by {solvers}\n" in screen
 
 
+@pytest.mark.parametrize(("blunders", "says"), [
+    ("leave-out", "rejected"), ("keep", "not selected by the search")])
+@pytest.mark.parametrize("case", [{}, CASES["long-names"]], ids=["named", "counted"])
+def test_outliers_that_a_search_could_select_were_not_rejected(
+        blunders: str, says: str, case: dict[str, Any]) -> None:
+    options = {**record()["options"], "problem": {"blunders": blunders}}
+    screen = "\n".join(first_screen(**{"outliers": [outlier("P2", 9.0, True)], **case,
+                                       "options": options}))
+    [line] = [line for line in screen.splitlines() if line.startswith("Outliers")]
+    assert says in line
+
+
 def test_many_outliers_are_no_slips_to_leave_out() -> None:
     few, many = ([outlier(f"X{i}", 90.0, i % 2 == 0) for i in range(n)] for n in (4, 9))
     assert next_step("r", outliers=few).startswith("Next: run again with --off")

@@ -379,11 +379,9 @@ def outlier_lines(record: Record) -> list[str]:
         return [_no_outlier_clause(record)]
     lines = []
     if rejected:
-        if were_selectable(record):
-            outcome = "not selected by the search, which could select them"
-        else:
-            outcome = "rejected"
-        lines.append(f"{_count_in_words(rejected)} {outcome}: {_list_worst(rejected)}")
+        could = ", which could select them" if were_selectable(record) else ""
+        lines.append(f"{_count_in_words(rejected)} {_how_excluded(record)}{could}: "
+                     f"{_list_worst(rejected)}")
     if used:
         lines.append(f"{_count_in_words(used)} still in use: {_list_worst(used)}")
     # Where nothing fits, one check point is no worse than the others.
@@ -412,12 +410,17 @@ def _outlier_count_line(record: Record) -> list[str]:
         return named
     counts = []
     if rejected:
-        counts.append(f"{len(rejected)} rejected")
+        counts.append(f"{len(rejected)} {_how_excluded(record)}")
     if used:
         counts.append(f"{len(used)} still in use")
     if independent:
         counts.append(count_in_words(len(independent), "independent check point"))
     return [f"{', '.join(counts)}; --verbose lists them"]
+
+
+def _how_excluded(record: Record) -> str:
+    """Return how outliers came to be out of use: before the search, or by its selection."""
+    return "not selected by the search" if were_selectable(record) else "rejected"
 
 
 def _count_in_words(outliers: Sequence[Outlier]) -> str:
