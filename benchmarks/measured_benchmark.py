@@ -73,25 +73,32 @@ def page(scored: Sequence[Score]) -> str:
     best = least_error_by_set(scored)
     header, rows = ratios_by_kind(scored)
     sets = list(dict.fromkeys(each.set_name for each in scored))
-    lost = losses(scored, AUTO.title)
     counts = Counter(each.kind for each in scored if each.method == AUTO)
     lines = [HEAD, f"This page has {len(sets)} of the {len(measured_names())} sets: "
              + ", ".join(f"{count} of {kind}" for kind, count in counts.items()) + ".", "",
+             *_losses(scored), "## All methods", "",
+             "Median ratios to the least figure of each set.", "",
              _table(header, rows), "", "## How often each method is near the best", "",
              f"Sets on which a method is within 5 % of the best of all methods, and within "
              f"{BOUND}, of those that it has a result on.", "",
              _table(["method", "sets with a result", "within 5 %", f"within {BOUND}"],
                     [_near(scored, best, title) for title in dict.fromkeys(
                         each.method.title for each in scored)]), "", *_by_kind(scored, best), "",
-             TWO_NEAR_THE_BEST, "", _highest_factor(scored, best), "",
-             "## Where auto loses", "",
-             f"`auto` loses by more than 2 % on {len(lost)} of {len(sets)} sets; those with the "
-             "largest ratios:", "",
-             _table(["set", "points in a fit", "auto [px]", "best method", "best [px]", "ratio"],
-                    [[loss.set_name, str(loss.control), f"{loss.rmse:.2f}", winner.method.title,
-                      f"{winner.rmse:.2f}", f"{loss.rmse / winner.rmse:.2f}"]
-                     for loss, winner in lost[:40]]), ""]
+             TWO_NEAR_THE_BEST, "", _highest_factor(scored, best)]
     return "\n".join(lines) + "\n"
+
+
+def _losses(scored: Sequence[Score]) -> Iterator[str]:
+    """Yield where auto loses: it comes first, as who made a method is its worst judge."""
+    lost = losses(scored, AUTO.title)
+    sets = len({each.set_name for each in scored})
+    yield from ("## Where auto loses", "",
+                f"`auto` loses by more than 2 % on {len(lost)} of {sets} sets; those with the "
+                "largest ratios:", "",
+                _table(["set", "points in a fit", "auto [px]", "best method", "best [px]", "ratio"],
+                       [[loss.set_name, str(loss.control), f"{loss.rmse:.2f}", winner.method.title,
+                         f"{winner.rmse:.2f}", f"{loss.rmse / winner.rmse:.2f}"]
+                        for loss, winner in lost[:40]]), "")
 
 
 TWO_NEAR_THE_BEST = """\
@@ -151,10 +158,9 @@ Made by `python -m benchmarks.measured_benchmark --write`: 32 old maps and 100 v
 points by volunteers, and 694 automatic matches of two images. All are real, and blunders are among
 them. Each point is hidden once, in frozen folds, and judges what a method makes of the others; of
 the matches a method sees an eighth. The figure of a set is the median distance of all hidden points
-[px], as a median is not led astray by hidden blunders. The table has the median ratio of this
-figure to the least of all methods on the set. Photos have 6 to 14 points, so that their figures are
-rough. Their focal lengths are stated: `auto`, by termsel-cameras, and `opencv` read them, and no
-other method can.
+[px], as a median is not led astray by hidden blunders. Photos have 6 to 14 points, so that their
+figures are rough. Their focal lengths are stated: `auto`, by termsel-cameras, and `opencv` read
+them, and no other method can.
 The [datasheet](../reference/datasheet.md#measured-sets) has the sources.
 """
 
