@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
 
@@ -146,6 +147,21 @@ def test_few_points_are_said_to_contradict_one_another() -> None:
     assert f"{30 - len(wrong)} of 30 agree" in note
     for index in wrong:
         assert features.points.ids[index] in note
+
+
+@pytest.mark.parametrize("n", [30, 36])
+@pytest.mark.parametrize(("image", "times"), [(panoramic, 4.0), (flown, 2.0)])
+def test_few_points_of_an_image_that_bends_are_said_to_contradict_one_another(
+        image: Callable[[int, int], FeatureSet], times: float, n: int) -> None:
+    sound = image(n, 1)
+    assert agreement(FitData.of(sound, True)) is None
+    features, wrong = spoilt(sound, 0.4, times=times)
+    agreeing = agreement(FitData.of(features, True))
+    assert agreeing is not None
+    disagreeing = set(np.flatnonzero(~agreeing))
+    # A wrong point may look right; so few points have some right ones look wrong.
+    assert len(wrong & disagreeing) >= len(wrong) - 1
+    assert len(disagreeing) <= n / 2
 
 
 def test_the_closest_half_is_about_the_best_of_all_halves() -> None:

@@ -31,6 +31,7 @@ from termsel.auto.majority import (
     MAX_DEVIATION,
     MAX_SAMPLED_POINTS,
     MIN_POINTS,
+    MIN_SEEN_POINTS,
     Halves,
     distances_from_fit,
     may_be_bend,
@@ -80,6 +81,10 @@ AFFINE_SCALE = 10.0
 MIN_GAIN = 0.5
 """Gain of the log-likelihood for each point, next to a polynomial of all, from which on a majority
 counts. Of scenes without blunders whose errors are no bend it is up to 0.47."""
+
+MIN_GAIN_OF_FEW = 1.0
+"""The same of fewer than MIN_POINTS, which agree by chance more often: sheets with humps may reach
+0.5 without blunders, and none of 280 sheets and images without any reached this."""
 
 MIN_SEEN_GAIN = 0.3
 """Such a gain by one solution, from which on further starts and all solutions are asked: that takes
@@ -337,7 +342,7 @@ def likeliest_majority(control: FitData, of_polynomials: Majority | None,
     Parameters
     ----------
     control : FitData
-        Control points; with lines, or fewer than MIN_POINTS, nothing is sought.
+        Control points; with lines, or fewer than MIN_SEEN_POINTS, nothing is sought.
     of_polynomials : tuple or None
         The majority that `termsel.auto.majority` found, which is returned where none is likelier.
     halves : Halves, optional
@@ -351,7 +356,7 @@ def likeliest_majority(control: FitData, of_polynomials: Majority | None,
         them about as likely.
     """
     n = len(control)
-    if n < MIN_POINTS or len(control.features.lines):
+    if n < MIN_SEEN_POINTS or len(control.features.lines):
         return of_polynomials
     if n <= MAX_SAMPLED_POINTS:
         return _likeliest_of(control, of_polynomials, halves)
@@ -435,7 +440,8 @@ def _likeliest_fit(data: FitData, likelihoods: Likelihoods, sets: Sequence[BoolA
         return of_polynomials
     used, test = max(fits.values(), key=likelihood)
     gain = likelihood((used, test)) - likelihood((everything, test_of_all))
-    if gain < MIN_GAIN * len(data) or not likelihoods.is_contradicted(used):
+    min_gain = MIN_GAIN if len(data) >= MIN_POINTS else MIN_GAIN_OF_FEW
+    if gain < min_gain * len(data) or not likelihoods.is_contradicted(used):
         return of_polynomials
     # Some points that the majority predicts well may not be in it.
     used = used | (test.strain <= PREDICTED_STRAIN)
