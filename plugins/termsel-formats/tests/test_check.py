@@ -8,6 +8,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 from shlex import split
+from typing import Any
 
 import numpy as np
 import pytest
@@ -61,7 +62,7 @@ def raster(path: Path, transform: object = None, gcps: object = (), crs: str = "
     return path
 
 
-def exact(result: termsel.Result, moved: float = 0.0) -> object:
+def exact(result: termsel.Result, moved: float = 0.0) -> Any:
     """Return the geotransform of the model, moved to the east."""
     from affine import Affine
 
@@ -271,3 +272,28 @@ def test_otb_that_answers_without_a_position_has_no_rpc(
     (of_otb,) = (one for one in found if one.program == "OTB")
     assert of_otb.transformation == "not reported by its applications"
     assert not answers.failed
+
+
+def test_a_file_without_a_crs_is_said_to_have_none(result: termsel.Result, tmp_path: Path) -> None:
+    """Its coordinates are compared as those of the result, and no program would do so."""
+    folder = tmp_path / "result"
+    folder.mkdir()
+    write_result(result, folder)
+    placed = exact(result)
+    for crs, is_said in (("EPSG:32631", False), ("", True)):
+        file = raster(tmp_path / f"placed{crs[5:]}.tif", placed, crs=crs)
+        said = invoke("check", file, "--result", folder).output
+        assert ("states no CRS" in said) is is_said
+        assert ("ones of EPSG:32631" in said) is is_said
+
+
+@pytest.mark.parametrize(("moved", "is_said"), [((0.5, 0.5), True), ((-0.5, 0.5), True),
+                                                ((0.0, 0.0), False), ((0.3, 0.3), False)])
+def test_half_a_pixel_is_told_as_such(result: termsel.Result, tmp_path: Path,
+                                      moved: tuple[float, float], is_said: bool) -> None:
+    folder = tmp_path / "result"
+    folder.mkdir()
+    write_result(result, folder)
+    placed = exact(result) * exact(result).translation(*moved)
+    said = invoke("check", raster(tmp_path / "moved.tif", placed), "--result", folder).output
+    assert ("is half a pixel in line and in sample off" in said) is is_said

@@ -126,6 +126,19 @@ def test_a_mean_error_above_a_quarter_of_the_class_is_named() -> None:
     assert "25%" not in " ".join(statements_of(errors(values), 1.1).notes)
 
 
+def test_the_mean_error_is_held_against_the_class_that_is_stated_unasked() -> None:
+    # RMSE 1.09 m, so that the statement has 110 cm; a quarter of it is 0.275 m.
+    around = np.tile([[0.5, 0.9], [-0.5, -0.9]], (15, 1))
+    east = np.array([1.0, 0.0])
+    shifted = statements_of(errors(around + 0.35 * east))
+    assert "110 cm RMSEH" in shifted.statements[0].words
+    assert any("mean error east is above 25%" in note for note in shifted.notes)
+    assert not any("25%" in note for note in statements_of(errors(around + 0.2 * east)).notes)
+    # Nine points have no statement, and so no class.
+    few = errors((around + 0.35 * east)[:9])
+    assert not any("25%" in note for note in statements_of(few).notes)
+
+
 def test_more_check_points_are_asked_for_a_large_area() -> None:
     places = np.random.default_rng(8).uniform(0, 60e3, (40, 2))
     stated = statements_of(errors(np.ones((40, 2)), places=places))

@@ -286,9 +286,11 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
         Statement("ASPRS vegetated vertical", None, vegetated_sentence),
         Statement("NSSDA horizontal", by_nssda.value, nssda_sentence),
         _nssda_vertical(vertical, too_few if n < NSSDA_POINTS else None))
+    # The mean error is held against the class that is stated, be it asked for or the least met.
+    classes = (_stated_class(n, horizontal_with_survey, horizontal_class),
+               _stated_class(n, vertical_with_survey, vertical_class))
     notes = _limiting_notes(ground_errors, figures.total, survey_horizontal, distribution,
-                            components,
-                            (horizontal_class, vertical_class))
+                            components, classes)
     return Statements(
         source=ground_errors.source, components=components, horizontal=figures.total,
         ce90=figures.ce90, ce95=float(np.quantile(distances, 0.95)), vertical=vertical,
@@ -371,6 +373,16 @@ def _asprs_statement(direction: str, points: int, value: float | None,
         f"call for a minimum of thirty (30) checkpoints, this test was performed using ONLY "
         f"{points} checkpoints. This data set was produced to meet a {_in_statement_unit(class_)} "
         f"{kind}. {figure} using the reduced number of checkpoints")
+
+
+def _stated_class(points: int, value: float | None, asked: float | None) -> float | None:
+    """Return the class [m] that a statement on an RMSE [m] has; None if there is no statement.
+
+    `asked` is the class to test; without one it is the least that is met.
+    """
+    if asked is not None or value is None or points < MIN_REDUCED:
+        return asked
+    return class_of(value)
 
 
 def class_of(value: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from shlex import quote
@@ -20,12 +21,16 @@ from termsel.toolkit import (
     show_messages,
 )
 from termsel.toolkit.charts import rounded_size_text
+from termsel.toolkit.coordinates import LOCAL
 
 if TYPE_CHECKING:
     from termsel_formats.check.comparison import Apart, Deviation
 
 WARNING_PX = 1.0
 """Px from which on a deviation is told as a warning."""
+
+HALF_PIXEL_SCATTER = 0.05
+"""By how much distances may differ from that of half a pixel and still be told as one [px]."""
 
 
 @click.command("check")
@@ -88,6 +93,10 @@ def check(file: Path, folder: Path | None, as_json: bool, final: bool | None) ->
             deviations = ()
         for deviation in deviations:
             _warn_of_deviation(deviation)
+        if _is_without_crs(deviations) and result.features.crs != LOCAL:
+            echo(f"Note: {file} states no CRS. Its coordinates are compared as ones of "
+                 f"{result.features.crs}, that of the result; programs place it nowhere until they "
+                 "are told so.")
     for name in answers.absent:
         echo(f"Not tested: {name}, which is not installed.")
     for message in answers.failed:
@@ -145,6 +154,23 @@ def _warn_of_deviation(deviation: Deviation) -> None:
         echo(f"Warning: {deviation.program} is up to {rounded_size_text(worst.largest)} px{metres} "
              "off the model, near "
              f"line {worst.line:,.1f}, sample {worst.sample:,.1f}: {deviation.transformation}.")
+    elif _is_half_a_pixel(worst):
+        echo(f"Note: {deviation.program} is half a pixel in line and in sample off the model "
+             "everywhere: does the file count from the corner of the first pixel where its centre "
+             "is meant, or the other way round?")
     lacking = sum(distances.lacking for distances in compared)
     if lacking:
         echo(f"Note: {deviation.program} has no place for {lacking} of the places asked for.")
+
+
+def _is_half_a_pixel(distances: Apart) -> bool:
+    """Return whether all places are as far off as half a pixel in line and in sample makes."""
+    half = 0.5 * 2**0.5  # [px], the diagonal of half a pixel
+    return max(abs(distances.rms - half), abs(distances.largest - half)) < HALF_PIXEL_SCATTER
+
+
+def _is_without_crs(deviations: Sequence[Deviation]) -> bool:
+    """Return whether what programs take by default was compared, and none of it has a CRS."""
+    taken = [deviation for deviation in deviations
+             if deviation.by_default and (deviation.at_points or deviation.over_image)]
+    return bool(taken) and not any(deviation.crs for deviation in taken)
