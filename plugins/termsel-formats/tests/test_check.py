@@ -139,10 +139,10 @@ def test_a_check_writes_nothing_next_to_the_raster(held: bytes | None, tmp_path:
 def test_a_world_file_is_read_with_or_without_its_image(result: termsel.Result, tmp_path: Path,
                                                         beside: bool) -> None:
     t = exact(result)
-    x, y = t.c + (t.a + t.b) / 2, t.f + (t.d + t.e) / 2  # type: ignore[attr-defined]
+    x, y = t.c + (t.a + t.b) / 2, t.f + (t.d + t.e) / 2
     world = tmp_path / "scene.tfw"
     world.write_text("".join(f"{value!r}\n" for value in (
-        t.a, t.d, t.b, t.e, x, y)))  # type: ignore[attr-defined]
+        t.a, t.d, t.b, t.e, x, y)))
     if beside:
         raster(tmp_path / "scene.tif")
     before = sorted(tmp_path.iterdir())
