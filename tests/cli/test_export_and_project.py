@@ -446,12 +446,13 @@ def test_places_in_one_of_several_layers(folder: Path, tmp_path: Path) -> None:
      "-t_srs EPSG:4979 takes and prints lines of x y z, without a header. "
      "Give heights by --dem FILE or --height H"),
     ("id,lo,la\na,59,36\n", [], "there are no columns for x and y. The columns here are: id, lo, "
-     "la. Accepted names: x, lon, longitude, easting; y, lat, latitude, northing, and others. Name "
-     "them: --columns x=NAME,y=NAME,z=NAME. Without z: --dem FILE or --height H."),
+     "la. Accepted names: x, lon, longitude, easting; y, lat, latitude, northing, and others. Add "
+     "them, or name what holds them: --columns x=NAME,y=NAME. Without z: --dem FILE or "
+     "--height H."),
     ("id,lo,la\na,59,36\n", ["--columns", "x=lo,y=la"],
      "column 'z': there is no column for z, and the model requires heights. Give heights by --dem"),
     ("id,down,across\na,59,36\n", ["--inverse", "--height", "1"],
-     "Name them: --columns line=NAME,sample=NAME."),
+     "Add them, or name what holds them: --columns line=NAME,sample=NAME."),
     ("id,x,y,z\na,270000,3854000,3\n", [], "table.csv, column 'x': 'a' with x = 270000"),
     ('{"type": "Feature", "geometry": {"type": "Point", "coordinates": [59, 36]}}', [],
      "this is not a GeoJSON FeatureCollection"),

@@ -235,7 +235,7 @@ def test_coordinates_that_fit(crs: str, xy: list[tuple[float, float]]) -> None:
     ("EPSG:4979", [(500_000, 4_880_000)], "look like metres: state the projected CRS with --crs"),
     ("EPSG:4258", [(500_000, 4_880_000)], "look like metres"),
     ("EPSG:4979", [(5, 44), (6, 45), (500_000, 45)], "'p2' with x = 500000, y = 45"),
-    ("EPSG:32631", [(5.2, 44.1), (5.3, 44.2)], "In place of EPSG:32631 state EPSG:4979"),
+    ("EPSG:32631", [(5.2, 44.1), (5.3, 44.2)], "In place of EPSG:32631 state --crs EPSG:4979"),
     ("EPSG:4978", [(5.2, 44.1)], "look like longitude, latitude and height: state --crs EPSG:4979"),
     ("EPSG:4978", [(4_000_000, 400_000)], "from the centre of the Earth"),
     ("EPSG:2100", [(21.2, 40.5)], "look like degrees"),

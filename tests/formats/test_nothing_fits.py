@@ -25,6 +25,23 @@ def test_an_export_of_random_points_says_that_no_model_fits(
     assert ("no model fits these points" in caplog.text) == is_random
 
 
+def test_an_export_of_a_model_that_another_one_beats_blames_the_model(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Points whose image bends are at fault of no affine model, as a polynomial fits them."""
+    places = np.random.default_rng(5).uniform(-1, 1, (40, 2))
+    x, y = places.T
+    image = np.column_stack([500 - 400 * y + 90 * x * y, 500 + 400 * x + 120 * x**2])
+    image += np.random.default_rng(6).normal(0, 0.1, image.shape)
+    ground = np.column_stack([1000 * places, np.full(40, np.nan)])
+    features = termsel.FeatureSet(termsel.Points(tuple(f"P{i}" for i in range(40)), image, ground),
+                                  crs="EPSG:32633")
+    result = termsel.run(features=features, model="poly2d", options={"degree": 1})
+    caplog.clear()
+    termsel.export(result, "points-csv", tmp_path / "points.csv")
+    assert "this model does not fit these points, which a quadratic polynomial fits" in caplog.text
+    assert "no model fits" not in caplog.text + result.summary()
+
+
 @pytest.mark.parametrize("heights", [True, False])
 def test_degrees_that_no_model_fits_may_be_those_of_a_map_in_a_projection(heights: bool) -> None:
     rng = np.random.default_rng(3)

@@ -93,11 +93,12 @@ def test_two_signs_of_one_kind_separate_thousands() -> None:
     assert signs == {"x": ".", "y": ","}
 
 
-@pytest.mark.parametrize(("text", "value"), [("12 30 36 E", 12.51), ("12°59'59.9\"W", -12.999972)])
+@pytest.mark.parametrize(("text", "value"), [
+    ("12 30 36 E", 12.51), ("12 29 60.00 E", 12.5), ("12°59'59.9\"W", -12.999972)])
 def test_minutes_and_seconds_are_sixtieths(text: str, value: float) -> None:
     assert read_numbers([text], ".", may_be_blank=False, angle="x") == pytest.approx(value)
-    for wrong in ("12 60 36 E", "12 30 60 E"):
-        with pytest.raises(BadCell, match="60 or more minutes or seconds"):
+    for wrong in ("12 75 36 E", "12 30 70 E"):
+        with pytest.raises(BadCell, match=r"has 7[05] (minutes|seconds): an angle has at most 60"):
             read_numbers([wrong], ".", may_be_blank=False, angle="x")
 
 
@@ -247,7 +248,7 @@ HOSTILE: dict[str, tuple[bytes, str]] = {
     "sign and side": (changed(-1, 1, "-*E"), "line 2, column 'Lon': '-1"),
     "wrong side": (changed(-1, 1, "*N"), "is a latitude in the column of x"),
     "O": (changed(-1, 1, "*O"), "east in German and west in Romance languages"),
-    "60 minutes": (changed(3, 1, "10°75'2\"E"), "has 60 or more minutes or seconds"),
+    "60 minutes": (changed(3, 1, "10°75'2\"E"), "has 75 minutes: an angle has at most 60"),
     "NaN": (changed(3, 4, "NaN"), "line 4, column 'Row': 'NaN' is not a finite number"),
     "no answer": (changed(3, 3, "n/a"), "line 4, column 'Height': 'n/a' is not a number"),
     "an open quote": (changed(3, 0, '"P3'), "line 4: the row that begins here cannot be read"),

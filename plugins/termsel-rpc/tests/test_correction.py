@@ -380,8 +380,8 @@ def test_an_rpc_in_any_form_gives_the_same(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("words", "said"), [
-    (["--problem", "rpc-gcps"], "corrects a vendor's RPC by one point or more"),
-    (["--model", "rpc-shift", "--solver", "ga"], "corrects a vendor's RPC by one point or more"),
+    (["--problem", "rpc-gcps"], "one point or more corrects it"),
+    (["--model", "rpc-shift", "--solver", "ga"], "one point or more corrects it"),
     (["--problem", "rpc-gcps", "--strategy", "auto"], "add --rpc FILE")])
 def test_what_needs_more_points_says_which_command_does(
         words: list[str], said: str, tmp_path: Path) -> None:

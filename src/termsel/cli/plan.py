@@ -43,13 +43,16 @@ def plan(folder: Path, candidates: Path | None, count: int, output: Path | None,
     from termsel.io.export import as_exported
     from termsel.io.plan import COLUMNS
     from termsel.io.plan import plan as ranked
-    from termsel.io.replacing import require_replaceable
+    from termsel.io.replacing import require_no_source, require_replaceable
     from termsel.io.result_folder import read_result
 
     if output is not None:
         require_replaceable([output], reads=[folder, candidates], overwrite=overwrite,
                             written_as="CSV")
-    positions = ranked(as_exported(read_result(folder), final), count, candidates)
+    result = read_result(folder)
+    if output is not None:
+        require_no_source(output, result)
+    positions = ranked(as_exported(result, final), count, candidates)
     rows = [(name, f"{line:.1f}", f"{sample:.1f}", f"{x:.8g}", f"{y:.8g}",
              "" if z != z else f"{z:.1f}", rounded_size_text(sigma))
             for name, (line, sample, x, y, z, sigma) in zip(

@@ -62,7 +62,7 @@ def project(folder: Path, file: Path | None, points: Path | None, columns: str |
     from termsel.core.files.atomic import write_text
     from termsel.io.export import as_exported
     from termsel.io.project import project_table
-    from termsel.io.replacing import require_replaceable
+    from termsel.io.replacing import require_no_source, require_replaceable
     from termsel.io.result_folder import read_result
 
     output = None if output == Path("-") else output
@@ -70,7 +70,10 @@ def project(folder: Path, file: Path | None, points: Path | None, columns: str |
     if output is not None:
         require_replaceable([output], reads=[folder, table, dem], overwrite=overwrite,
                             written_as="CSV")
-    text, warnings = project_table(as_exported(read_result(folder), final), table,
+    result = read_result(folder)
+    if output is not None:
+        require_no_source(output, result)
+    text, warnings = project_table(as_exported(result, final), table,
                                    inverse=inverse, dem=dem, height=height,
                                    columns=columns or "", layer=layer)
     if output is None:

@@ -36,7 +36,7 @@ TAKEN = 1e-5
 GEOID = "geoid and ellipsoid?"
 """The usual cause, up to what geoids are from ellipsoids."""
 
-NO_DEM = "is it a DEM, in metres?"
+NO_DEM = "is it a DEM, in metres? If not, what is made with it is wrong"
 """The cause of larger differences."""
 
 _MAX_GEOID_HEIGHT = 150.0

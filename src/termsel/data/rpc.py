@@ -80,6 +80,9 @@ class Rpc(Explained):
     array([[ 500., 1000.]])
     """
 
+    _AXES: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "image_scale": ("line", "sample"),
+        "ground_scale": ("longitude", "latitude", "height")}
     elsewhere: ClassVar[Mapping[str, str]] = {
         "predict": "Image positions are rpc.project(ground).",
         "transform": "Image positions are rpc.project(ground).",
@@ -118,7 +121,9 @@ class Rpc(Explained):
                             ("ground_offset", 3), ("ground_scale", 3)):
             _require_values(getattr(self, name), count, name, "values")
             if name.endswith("scale") and not all(getattr(self, name)):
-                raise TermselError(f"a scale of the RPC is 0: {getattr(self, name)}")
+                axis = self._AXES[name][getattr(self, name).index(0.0)]
+                raise TermselError(f"the scale of {axis} of the RPC is 0",
+                                   hint="The RPC is damaged: get it again.")
         for name in ("error_bias", "error_random"):
             if getattr(self, name) is not None:
                 _require_finite((getattr(self, name),), name)

@@ -18,7 +18,7 @@ from termsel.formats.vrt import IMAGE, picture_for
 from termsel.io.replacing import require_replaceable
 from termsel.plugins.registry import registry
 from termsel.results.result import Result, require_result
-from termsel.results.verdict import does_nothing_fit, size_of_errors
+from termsel.results.verdict import does_nothing_fit, misfit_in_words, size_of_errors
 
 if TYPE_CHECKING:
     from termsel.formats.base import Writer
@@ -50,9 +50,9 @@ def as_exported(result: Result, final: bool | None) -> Result:
     logged when the export has succeeded.
     """
     if does_nothing_fit(result):
-        log.warning("Warning: no model fits these %s: their RMSE is %s px. What is made of this "
-                    "result is as far off.", result.features.word,
-                    rounded_size_text(size_of_errors(result)), extra={PENDING: ON_SUCCESS})
+        log.warning("Warning: %s. The RMSE is %s px, and what is made of this result is as far "
+                    "off.", misfit_in_words(result), rounded_size_text(size_of_errors(result)),
+                    extra={PENDING: ON_SUCCESS})
     if result.final is not None and final is False:
         log.info("Used: the fit without the independent check points.",
                  extra={PENDING: ON_SUCCESS})

@@ -81,7 +81,8 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
             # There is no option of a DEM or of columns here.
             if error.code == "column-missing":
                 header = "id,x,y,z" if fitted.model.uses_height else "id,x,y"
-                error.hint = f"{error.hint} Rename the columns in the file: {header}."
+                error.hint = f"Rename the columns in the file: {header}."
+                error.options.clear()
             elif error.code == "height-missing":
                 error.hint = (error.hint or "").replace(
                     GIVE_HEIGHTS, "Give heights in the file, in a column named z. termsel project "

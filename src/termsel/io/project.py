@@ -135,8 +135,6 @@ def _locate_points(result: Result, path: Path, columns: str, dem: Path | None,
         if error.code == "column-missing" and _has_columns(path, columns, "x", "y", layer=layer):
             error.hint = ("These are ground positions: leave --inverse out for their positions "
                           "in the image.")
-        elif error.code == "column-missing":
-            error.hint = f"{error.hint} Name them: --columns line=NAME,sample=NAME."
         raise
     image = table.stack("line", "sample")
     heights = _heights_on_ground(table, crs, path) if by_table else None
@@ -172,10 +170,8 @@ def _project_points(result: Result, path: Path, columns: str, dem: Path | None,
         if error.code == "image-alone":
             error.hint = ("These are image positions: add --inverse, with --dem FILE or "
                           "--height H, for ground positions.")
-        elif error.code == "column-missing":
-            uses_height = result.fit.model.uses_height
-            error.hint = f"{error.hint} Name them: --columns x=NAME,y=NAME" + (
-                ",z=NAME. Without z: --dem FILE or --height H." if uses_height else ".")
+        elif error.code == "column-missing" and result.fit.model.uses_height:
+            error.hint = f"{error.hint} Without z: --dem FILE or --height H."
         elif error.code == "height-missing" and error.line is None:
             error.hint = f"{error.hint} Name a column of heights: --columns z=NAME."
         raise

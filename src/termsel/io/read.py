@@ -912,8 +912,10 @@ def _require_given_kinds(path: Path, counts: dict[str, int], expected: dict[str,
     kinds_present = [kind for kind, count in counts.items() if count]
     for kind in counts:
         if expected[kind] and kind not in kinds_present:
-            hint = " ".join(f"It has {present}: give it with --{present}."
-                            for present in kinds_present)
+            hint = " ".join(
+                f"It has {present}, and is given for them already: leave --{kind} out."
+                if expected[present] else f"It has {present}: give it with --{present}."
+                for present in kinds_present)
             raise TermselError(f"the file has no {kind}", file=path, hint=hint or None)
     for kind in kinds_present:
         if not expected[kind]:

@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from shlex import quote
 
 from termsel.core.errors import TermselError
 from termsel.core.files.endings import EXPECTED
-from termsel.core.files.names import is_there
+from termsel.core.files.names import free_name, is_there
 from termsel.core.remedies import Remedy
 from termsel.data.rasters import open_raster
 from termsel.io.result_folder import files_of_result
+from termsel.results.result import Result
 
 _NEXT_TO = (".RPB", ".rpb", ".IMD", ".tfw", ".TFW", ".aux")
 _AFTER = ("_RPC.TXT", "_rpc.txt", "_RPC.XML", "_metadata.txt")
@@ -74,7 +76,7 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
     for file in files:
         _require_writable(file, makes_folder)
     if existing:
-        _refuse_read(existing, _files_in_use(reads, beside))
+        _refuse_read(existing, _files_in_use(reads, beside), makes_folder)
     if written_as is not None:
         for file in files:
             _refuse_other_ending(file, written_as)
@@ -83,7 +85,26 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
                            hint=f"Choose another name, or add {Remedy('overwrite')}.")
 
 
-def _refuse_read(files: Iterable[Path], reads: Iterable[Path]) -> None:
+def require_no_source(output: Path, result: Result) -> None:
+    """Raise TermselError for an output that the points or lines of a result were read from.
+
+    A result keeps the names of its files as they were typed.
+    """
+    for name in result.data.source.split(", "):
+        if is_there(Path(name)) and is_there(output) and output.samefile(name):
+            raise TermselError("the features of this result come from this file, which would be "
+                               "replaced", file=output, hint=_other_output(output))
+
+
+def _other_output(file: Path, makes_folder: bool = False) -> str:
+    """Return what to type so that another file, or folder, is written than this one."""
+    if makes_folder:
+        return f"Choose another folder: {Remedy('out', 'DIR')}."
+    other = quote(free_name(file))
+    return f"Choose another name for the output: {Remedy('output', other)}."
+
+
+def _refuse_read(files: Iterable[Path], reads: Iterable[Path], makes_folder: bool) -> None:
     """Raise TermselError for a file that is read, under whatever name."""
     sources = list(reads)
     for file in files:
@@ -92,7 +113,7 @@ def _refuse_read(files: Iterable[Path], reads: Iterable[Path]) -> None:
             if file.samefile(source):
                 alias = "" if str(source) == str(file) else f", as {source}"
                 raise TermselError(f"this command reads this file{alias}, and would replace it",
-                                   file=file, hint="Choose another name for the output.")
+                                   file=file, hint=_other_output(file, makes_folder))
 
 
 def _refuse_other_ending(file: Path, written_as: str) -> None:

@@ -46,6 +46,7 @@ from termsel.results.verdict import (
     CHANCE,
     NO_FIT,
     NOT_FEW,
+    RPC_MODELS,
     are_alike,
     are_errors_large,
     are_too_few_to_test,
@@ -53,10 +54,12 @@ from termsel.results.verdict import (
     fit_that_works,
     label_of,
     may_be_shifted,
+    misfit_in_words,
     names_to_leave_out,
     off_option,
     outlier_share_in_words,
     size_of_errors,
+    uses_rpc,
     verdict_on_choice,
 )
 
@@ -77,8 +80,6 @@ _BLUNT = 0.005
 detected."""
 _CONTRADICTED = 2.0
 """Times the upper end of the predicted RMSE beyond which independent points contradict it."""
-_RPC = "rpc"
-"""How the names of corrections of an RPC begin."""
 KNOWN_CAMERA = "known-camera"
 """Method of a photo whose focal length is stated."""
 
@@ -459,11 +460,8 @@ def _no_outlier_clause(record: Record) -> str:
     if is_blind and test.features < NOT_FEW:
         check = "; with errors this large check each of them" if nothing_fits else ""
         return f"not detectable: {features} {'is' if test.features == 1 else 'are'} too few{check}"
-    if nothing_fits and (works := fit_that_works(record)):
-        rival, size = works
-        return (f"not detectable: {_model_at_fault(record)} does not fit these "
-                f"{record.data.counts.word}, which {BY_NAME[rival.name].title} fits to "
-                f"{rounded_size_text(size)} px")
+    if nothing_fits and fit_that_works(record):
+        return f"not detectable: {misfit_in_words(record)}"
     if nothing_fits:
         return f"not detectable: {_no_model_in_words(record)}"
     if is_blind or test.limit is None:
@@ -480,22 +478,12 @@ def _no_model_in_words(record: Record) -> str:
     why = ("x and y have too few decimals" if _note_with(record, ROUNDED) else
            f"check the columns, the units, the CRS, and that all {word} are of this image, one in "
            "each row")
-    return f"no model fits these {word}; {why}"
+    return f"{misfit_in_words(record)}; {why}"
 
 
 def _note_with(record: Record, words: str) -> str:
     """Return the first note of a record that has some words in it; "" if none has."""
     return next((note for note in record.notes if words in note), "")
-
-
-def _uses_rpc(record: Record) -> bool:
-    """Return whether the model is a correction of a vendor's RPC."""
-    return record.data.rpc is not None and record.model.startswith(_RPC)
-
-
-def _model_at_fault(record: Record) -> str:
-    """Return what the screen calls a model that does not fit features which another one fits."""
-    return "the RPC" if _uses_rpc(record) else "this model"
 
 
 def _group_outliers(record: Record) -> tuple[list[Outlier], list[Outlier], list[Outlier]]:
@@ -558,7 +546,7 @@ def _comparison_with_rival(record: Record, rival: BaselineRow) -> Iterator[str]:
     if own_rmse is None or rival_rmse is None:
         return
     # Another correction of the same RPC is nearly the chosen one.
-    if _shift_in_words(record) and rival.name.startswith(_RPC) and rival.name != AS_DELIVERED:
+    if _shift_in_words(record) and rival.name.startswith(RPC_MODELS) and rival.name != AS_DELIVERED:
         yield from _rmse_as_delivered(record)
         return
     name = "automatic choice without a search" if strategy is None else _rival_in_words(rival)
@@ -880,7 +868,7 @@ def next_step_for_user(record: Record, folder: str = "", command: str = "",
     if may_be_shifted(record):
         return "Next: compare some of these points with the map before leaving any out"
     if fit_that_works(record):
-        return ("Next: give the RPC of this image, or leave it out" if _uses_rpc(record)
+        return ("Next: give the RPC of this image, or leave it out" if uses_rpc(record)
                 else "Next: leave the model out, and one is chosen that fits")
     if _note_with(record, ROUNDED):
         return "Next: take the coordinates with more decimals from their source, then run again"

@@ -245,6 +245,27 @@ def fit_that_works(record: Record) -> tuple[BaselineRow, float] | None:
     return min(fitting, key=lambda pair: (pair[0].name != record.reference, pair[1]), default=None)
 
 
+RPC_MODELS = "rpc"
+"""How the names of corrections of an RPC begin."""
+
+
+def uses_rpc(record: Record) -> bool:
+    """Return whether the model is a correction of a vendor's RPC."""
+    return record.data.rpc is not None and record.model.startswith(RPC_MODELS)
+
+
+def misfit_in_words(record: Record) -> str:
+    """Return that no model fits features with large errors, or which one does if this does not."""
+    features = f"these {record.data.counts.word}"
+    works = fit_that_works(record)
+    if works is None:
+        return f"no model fits {features}"
+    rival, size = works
+    at_fault = "the RPC" if uses_rpc(record) else "this model"
+    return (f"{at_fault} does not fit {features}, which {BY_NAME[rival.name].title} fits to "
+            f"{rounded_size_text(size)} px")
+
+
 def are_too_few_to_test(test: BlunderTest, errors: float) -> bool:
     """Return whether features are too few for a test, given the size of their errors [px].
 

@@ -62,10 +62,6 @@ ALL_PARALLEL = 1e-4
 """Orientation spread below which control lines are taken for parallel: within half a degree."""
 
 
-CORRECTED = (" Or leave the rest out: termsel run --points FILE --rpc FILE corrects a vendor's RPC "
-             "by one point or more.")
-
-
 def require_enough(observations: Observations, criterion: Criterion, model: SensorModel,
                    fewest: int, named_off: str | None = None) -> None:
     """Refuse data for a problem, unless there are enough features and they can determine a model.
@@ -90,7 +86,7 @@ def require_enough(observations: Observations, criterion: Criterion, model: Sens
             f"{'is' if fewest == 1 else 'are'} needed",
             hint=_remedy_for_few(observations, fewest, named_off)
                  + without_selection
-                 + CORRECTED * ("rpc" in model.options))
+                 + _offer_of_correction(observations, fewest, model))
     if criterion.needs_check and len(check) < MIN_CHECK:
         raise TermselError(
             f"{_too_few_in_words(len(check), 'selection point')} (role check), and a search by "
@@ -183,6 +179,17 @@ def _remedy_for_few(observations: Observations, fewest: int, named_off: str | No
                 "role control: --role ID=control.")
     return ("Give more points the role control, in the column role or by --role ID=control, or "
             "measure more.")
+
+
+def _offer_of_correction(observations: Observations, fewest: int, model: SensorModel) -> str:
+    """Return that fewer points correct an RPC, if one may be given, or is."""
+    points = observations.features.points
+    # An RPC relates an image to the Earth.
+    is_on_earth = len(points) > 0 and normalise(observations.features.crs) != LOCAL
+    if "rpc" in model.options or (is_on_earth and len(observations.features) < fewest):
+        return (f" Or give the vendor's RPC, {Remedy('rpc', 'FILE')}, and no model, problem or "
+                "solver: one point or more corrects it.")
+    return ""
 
 
 def _too_few_in_words(number: int, noun: str) -> str:

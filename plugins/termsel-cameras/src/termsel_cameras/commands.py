@@ -169,11 +169,16 @@ def _rank_projections(sheets: list[FeatureSet], candidates: Path | None,
 
 
 def _print_choice(ranking: _Ranking, n_sheets: int, restriction: str) -> None:
-    """Print the chosen projection and what is uncertain about it.
+    """Print the chosen projection and what is uncertain about it, or that one sheet shows none.
 
     `restriction` is the option that says which projections are candidates.
     """
     best = ranking.best
+    if n_sheets == 1 and len(ranking.ranked) > 1:
+        echo("\nOne sheet is no series, and its points show little of a projection: none is "
+             "chosen. Give all sheets, or the projection that the map names, in a file of "
+             f"--candidates. What follows is in one of the likeliest, {best.name}.")
+        return
     echo(f"\nChosen for {count_in_words(n_sheets, 'sheet')}: {best.name}. "
          f"--set projection='{best.crs}'")
     as_good = [projection.name for projection in ranking.as_probable if projection is not best]
@@ -186,9 +191,6 @@ def _print_choice(ranking: _Ranking, n_sheets: int, restriction: str) -> None:
              f"{better.name}, they are far more probable, and predicted within {_figure(better)} "
              f"px. Borrowing in {best.name} would make sheets of few points worse, so --set series "
              f"will lend nothing. Leave {restriction} out, or give the projection of the map.")
-    if n_sheets == 1:
-        echo("One sheet is no series, and its points show little of a projection. Give all "
-             "sheets, or take the projection that the map names.")
 
 
 def _print_projections(ranking: _Ranking) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from termsel.core.errors import TermselError, count_in_words, first_names_in_words
-from termsel.core.remedies import ReadRemedy
+from termsel.core.remedies import ReadRemedy, Remedy
 from termsel.data.coordinates.crs import (
     EARTH,
     UTM,
@@ -285,8 +285,9 @@ def _refuse_degrees(xy: FloatArray, features: FeatureSet, crs: str) -> None:
         hint = "Transform them to the CRS of the others, or remove them."
     else:
         problem = "the ground coordinates look like degrees"
-        hint = (f"In place of {short_crs_name(crs)} state EPSG:4979 (longitude, latitude, "
-                "ellipsoidal height), or local for plane coordinates without a CRS.")
+        hint = (f"In place of {short_crs_name(crs)} state {Remedy('crs', 'EPSG:4979')} (longitude, "
+                f"latitude, ellipsoidal height), or {Remedy('crs', 'local')} for plane coordinates "
+                "without a CRS.")
     first = int(np.argmax(could_be_degrees))
     name, column = _name_vertex(features, first, 0)
     raise TermselError(

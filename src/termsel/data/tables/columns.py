@@ -470,12 +470,16 @@ def _remedy_for_text(text: str) -> str:
     return "Write a plain number such as 12.5."
 
 
+_PARTS_OF_ANGLE = ("minutes", "seconds")
+"""Parts of an angle after its degrees."""
+
+
 def _parse_degrees(row: int, text: str, angle: str) -> float | None:
     """Return an angle such as 10°59'28.7"E in degrees; None if the text is no such angle.
 
     Degrees, minutes and seconds are separated by their marks or by spaces, with a hemisphere before
     or after, or a sign. `row` is that of the cell and `angle` its axis, "x" or "y", for errors.
-    Raises BadCell for 60 minutes or seconds and more, a latitude among longitudes, a hemisphere
+    Raises BadCell for more than 60 minutes or seconds, a latitude among longitudes, a hemisphere
     that is ambiguous, and one next to a sign.
     """
     match = _ANGLE.fullmatch(text)
@@ -488,8 +492,12 @@ def _parse_degrees(row: int, text: str, angle: str) -> float | None:
     if ((before and after) or any(POINT in number for number in numbers[:-1]) or values[0] > 360
             or not (hemisphere or len(numbers) == 3 or _MARKS.search(text))):
         return None
-    if any(value >= 60 for value in values[1:]):
-        raise BadCell(row, f"{text!r} has 60 or more minutes or seconds", "Correct the angle.")
+    # 59.999" that a program rounded is 60.00", and as good as the next minute.
+    parts = zip(values[1:], _PARTS_OF_ANGLE, strict=False)
+    too_many = [f"{value:g} {part}" for value, part in parts if value > 60]
+    if too_many:
+        raise BadCell(row, f"{text!r} has {' and '.join(too_many)}: an angle has at most 60",
+                      "Correct the angle; decimal degrees have no marks, such as 34.7969.")
     if hemisphere == "O":
         raise BadCell(row, f"the O in {text!r} is east in German and west in Romance languages",
                       "Write E or W.")

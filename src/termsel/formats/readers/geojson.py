@@ -120,8 +120,10 @@ def _parse_feature(path: Path, number: int, item: Any, kinds: Mapping[str, int])
     geometry = geometry if isinstance(geometry, dict) else {}
     kind = str(geometry.get("type", "missing"))
     if kind not in kinds:
+        or_points = (" Or make points of these in a GIS, such as where they end or cross."
+                     if "Point" in kinds and kind != "missing" else "")
         raise feature.error(f"its geometry is {kind}, expected " + " or ".join(kinds), "geometry",
-                            "Export features of that geometry alone.")
+                            f"Export features of that geometry alone.{or_points}")
     coordinates: Any = geometry.get("coordinates")
     # Nested like several lines: a point is then a list of one list of one vertex.
     for _ in range(2 - kinds[kind]):

@@ -28,6 +28,7 @@ from termsel.core.errors import (
 )
 from termsel.core.files.texts import unguard_cell
 from termsel.core.options import Option
+from termsel.core.remedies import Remedy
 from termsel.data.coordinates.crs import normalise
 from termsel.data.features import ROLES, FeatureSet, FloatArray, Points
 from termsel.data.roles import FIELD_ROLES
@@ -493,8 +494,10 @@ def _column_by_meaning(path: Path | None, line: int | None, header: Sequence[str
             error = _missing_column_error(path, line, header, missing, aliases)
             # Advice needs what is known, though some of it may be ambiguous.
             last_by_name = {name: indices[-1] for name, indices in by_name.items() if indices}
-            raise with_advice(error, header, rows,
-                              {**last_by_name, **stated}, aliases, fixed)
+            error = with_advice(error, header, rows, {**last_by_name, **stated}, aliases, fixed)
+            if error.code == "column-missing" and not error.options:
+                error.hint = f"{error.hint} {_remedy_for_missing(missing)}"
+            raise error
     # Logged if the command succeeds: the columns of a table that fails are looked for again.
     if flat and not any(is_there(meaning) for meaning in heights):
         log.info("Note: %s has no column for %s, so its heights are unknown. Accepted names: %s.",
@@ -629,6 +632,13 @@ def _missing_column_error(path: Path | None, line: int | None, header: Sequence[
         code="column-missing",
         hint=f"The columns here are: {_list_header(header)}. "
              f"Accepted names: {accepted}, and others.{may_be_blank}")
+
+
+def _remedy_for_missing(missing: Sequence[str]) -> str:
+    """Return what helps where nothing shows which columns have the `missing` meanings."""
+    it = "it" if len(missing) == 1 else "them"
+    columns = ",".join(f"{meaning}=NAME" for meaning in missing)
+    return f"Add {it}, or name what holds {it}: {Remedy('columns', columns)}."
 
 
 def _is_number(cell: str) -> bool:
