@@ -33,7 +33,7 @@ PAGES: dict[str, tuple[str, ...]] = {
     "paper-konugurthi": ("paper_tables", "konugurthi"),
     "control-features": ("control_features",),
     "solver-table": ("solver_table", "--out", "build/evidence/solver-table-{commit}"),
-    "benchmark": ("open_benchmark",),
+    "benchmark": ("open_benchmark", "--kept", KEPT),
     "measured": ("measured_benchmark", "--kept", KEPT),
     "short-budgets": ("short_budgets", "--kept", KEPT),
     "best-subsets": ("best_subsets", "--kept", KEPT),

@@ -93,8 +93,12 @@ def score_work(work: Work) -> Score:
     """
     if work.real is None and work.set_name.startswith(MEASURED):
         return _score_of_measured(work.method, read_measured_set(work.set_name))
-    bench_set = set_of(work)
-    method = work.method
+    return score_set(work.method, set_of(work))
+
+
+@one_blas_thread
+def score_set(method: Method, bench_set: BenchSet) -> Score:
+    """Return the score of a method on a set; if the method fails, `why` has its message."""
     common = (method, bench_set.name, bench_set.kind, len(bench_set.features.points),
               len(bench_set.independent))
     start = time.process_time()

@@ -150,7 +150,11 @@ def simulate_set(name: str) -> BenchSet:
 
     Its files may differ from the frozen ones; `frozen_checksums` shows whether they do.
     """
-    settings = SETS[name]
+    return simulate_from(SETS[name])
+
+
+def simulate_from(settings: SetSettings) -> BenchSet:
+    """Return the set of some settings, as those of a frozen set with another seed."""
     features, independent = _MAKERS.get(settings.kind, _simulate_camera)(settings)
     # Control and selection points alternate, so that both are all over the image.
     roles = tuple("control" if i % 2 == 0 else "check" for i in range(len(features.points)))
@@ -159,7 +163,7 @@ def simulate_set(name: str) -> BenchSet:
     independent = replace(independent, roles=("independent",) * len(independent),
                           ids=tuple(f"I{i + 1}" for i in range(len(independent))))
     # Methods are not told how exact the measurements are.
-    return round_to_files(BenchSet(name, settings.kind,
+    return round_to_files(BenchSet(settings.name, settings.kind,
                                    replace(features, points=points, noise=None),
                                    independent))
 
