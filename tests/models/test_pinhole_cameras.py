@@ -122,6 +122,18 @@ def test_auto_takes_the_camera_and_says_how_good_it_is(angle: int, relief: int, 
     assert 0.3 < np.median(predicted) / np.median(true) < 4.0
 
 
+@pytest.mark.parametrize("count", [21, 30])
+def test_a_camera_asked_for_by_name_is_fitted_to_any_number_of_points(count: int) -> None:
+    """Auto tries it for up to 20 points, which is no reason to refuse who asks for it."""
+    drawn = scene(30, 60, count, 5)
+    fitted = termsel.fit(drawn.features, "pinhole")
+    assert rmse(fitted.project(drawn.ground), drawn.image) < 1.0
+    result = termsel.run(features=drawn.features, method="pinhole")
+    assert result.strategy is not None
+    assert result.strategy.chosen == "pinhole"
+    assert rmse(result.project(drawn.ground), drawn.image) < 1.0
+
+
 def test_errors_are_as_large_as_their_standard_deviations() -> None:
     squares = []
     for seed in range(4):

@@ -212,13 +212,15 @@ class Auto(Method):
         count = len(all_features) if len(data.features.lines) else len(all_features.points)
         sizes: dict[Method, Any] = {}
         for method in self.methods:
+            if method.name in self.faults:
+                continue
             # A single method is fitted whatever its place among others would be.
             if self.is_one_method:
                 has_a_place = not for_few
             else:
-                has_a_place = not method.only_shown and method.for_few == for_few
-            if (has_a_place and method.name not in self.faults and count <= method.max_features
-                    and self.ask(method, "declines", data) is None):
+                has_a_place = (not method.only_shown and method.for_few == for_few
+                               and count <= method.max_features)
+            if has_a_place and self.ask(method, "declines", data) is None:
                 sizes[method] = self.ask(method, "size", data.heights)
         # The questions just asked may have made a method fail.
         sound_methods = [method for method in sizes if method.name not in self.faults]

@@ -140,9 +140,13 @@ class _OfCamera(Structure):
     def fit(self, control: FitData) -> Fit:
         """Fit the camera, where the points support one.
 
-        Raises Undetermined where the points do not show a photo by a camera without distortion.
+        Auto tries it for up to `PHOTO_MAX_POINTS` points; of more, it is fitted because it was
+        asked for, and its residuals say how well it holds.
+
+        Raises Undetermined where as few points do not show a photo by a camera without distortion.
         """
-        if not call_for_camera(control.scaled, control.scaling):
+        is_tried_by_auto = len(control.features) <= PHOTO_MAX_POINTS
+        if is_tried_by_auto and not call_for_camera(control.scaled, control.scaling):
             raise Undetermined("the points do not show a photo by a camera without distortion",
                                hint="Choose another model, such as dlt or projective.")
         # With heights wherever they differ: the camera knows what they do.

@@ -104,8 +104,9 @@ class Method(ABC):
         Whether one feature is enough, as the method knows what features do not determine. Then
         two or three are not taken for a model that they determine exactly.
     max_features : float
-        Number of features up to which it is tried: more show as much as what it knows. Where the
-        choice is repeated without some features, the number of all of them counts.
+        Number of features up to which auto tries it: more show as much as what it knows. Where the
+        choice is repeated without some features, the number of all of them counts. A method that
+        is asked for by its name is fitted to more.
 
     Examples
     --------
