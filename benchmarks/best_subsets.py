@@ -236,7 +236,8 @@ def each_size() -> Iterator[str]:
     for case in cases(len(SYSTEMS)):
         system = SubsetSystem(case.X, case.y[:, None])
         start = process_time()
-        for state in search(system, "rss", max_terms=max(SIZES)):
+        for latest in search(system, "rss", max_terms=max(SIZES)):
+            state = latest
             seconds = process_time() - start
             if seconds > SECONDS:
                 break
