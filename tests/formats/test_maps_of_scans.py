@@ -108,6 +108,16 @@ def test_a_map_is_that_of_gdalwarp_with_an_alpha_band(name: str, tmp_path: Path)
                   .astype(complex if pixels.dtype.kind == "c" else float)).max() <= tolerance
 
 
+@pytest.mark.parametrize("resampling", ["nearest", "bilinear"])
+def test_a_complex_map_large_enough_for_overviews_is_made(resampling: str, tmp_path: Path) -> None:
+    """GDAL reduces complex pixels by no cubic convolution, and nobody asked for one."""
+    made = scans.rectified(kind("complex", tmp_path), resolution=0.3, resampling=resampling)
+    with rasterio.open(made) as raster:
+        assert raster.overviews(1)
+        assert raster.dtypes == ("complex64",)
+        assert np.isfinite(raster.read()).any()
+
+
 @pytest.mark.skipif(not scans.has_gdalwarp(), reason="requires the program gdalwarp")
 def test_a_band_without_data_where_others_have_some_stays_empty_there_by_cubic(
         tmp_path: Path) -> None:
