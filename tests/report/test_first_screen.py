@@ -291,6 +291,15 @@ def test_the_solver_of_a_second_step_is_told(steps: str, solvers: str) -> None:
     assert f", by {solvers}\n" in screen
 
 
+def test_that_points_contradict_one_another_comes_before_what_follows_from_it() -> None:
+    notes = ["Extrapolation: the standard deviation of the model is up to 272 px at the corners.",
+             "The errors of the points are too large to show what a height does.",
+             "The points contradict one another: 14 of 24 agree, and all are too few to show "
+             "which are wrong. Look at P001 in the image."]
+    screen = "\n".join(first_screen(**CASES["no-model-fits"], notes=notes))
+    assert "Caution   The points contradict one another: 14 of 24 agree" in screen
+
+
 @pytest.mark.parametrize(("blunders", "says"), [
     ("leave-out", "rejected"), ("keep", "not selected by the search")])
 @pytest.mark.parametrize("case", [{}, CASES["long-names"]], ids=["named", "counted"])

@@ -16,7 +16,7 @@ from termsel.core.errors import (
     rounded_size_text,
 )
 from termsel.data.coordinates.crs import LOCAL, is_geographic, short_crs_name
-from termsel.data.record.cautions import BEYOND_RPC, MIRRORED, ROUNDED, SWAPPED_IMAGE
+from termsel.data.record.cautions import BEYOND_RPC, CONTRADICT, MIRRORED, ROUNDED, SWAPPED_IMAGE
 from termsel.data.record.figures import (
     EXACTLY,
     FEW_EVALUATIONS,
@@ -665,8 +665,10 @@ def _urgent_warnings_and_notes(record: Record) -> list[str]:
     wrong_heights = [note for note in record.notes if BEYOND_RPC in note]
     if BEYOND_RPC in _why_rpc_unused(record):
         wrong_heights.clear()
+    # What follows from wrong points matters less than that some are wrong.
+    notes = sorted(record.notes, key=lambda note: CONTRADICT not in note)
     return [*_urgent_warnings(record), *wrong_heights,
-            *(note for note in record.notes if note and not _is_shown(note)
+            *(note for note in notes if note and not _is_shown(note)
               and BEYOND_RPC not in note
               and note not in (heights, *_said_of_rpc(record))
               and not (is_exact_said and EXACTLY in note)
