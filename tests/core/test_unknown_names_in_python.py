@@ -5,6 +5,7 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 
@@ -21,9 +22,9 @@ from termsel.core.remedies import ReadRemedy, Remedy, called_in_python, in_pytho
     ({"fit_crs": "polar"}, "options={'fit_crs': 'polar'}"),
     ({"off": "P1"}, "options={'off': 'P1'}"),
     # What reading takes, options of readers included.
-    ({"dem": "dem.tif"}, "termsel.read('points.csv', dem='dem.tif')"),
-    ({"raster": "map.tif"}, "termsel.read('points.csv', raster='map.tif')"),
-    ({"lines": "lines.csv"}, "termsel.read('points.csv', 'lines.csv')"),
+    ({"dem": "dem.tif"}, "termsel.read(FILE, dem='dem.tif')"),
+    ({"raster": "map.tif"}, "termsel.read(FILE, raster='map.tif')"),
+    ({"lines": "lines.csv"}, "termsel.read(FILE, 'lines.csv')"),
     ({"report": True}, "result.report('report.html')"),
     ({"whatever": 1}, "Its arguments are problem, features, crs,")])
 def test_an_unknown_argument_of_run_says_what_is_meant(arguments: dict, words: str) -> None:
@@ -256,3 +257,129 @@ def test_a_name_that_is_like_no_other_is_only_refused() -> None:
         _ = termsel.xyzzy
     with pytest.raises(AttributeError, match=r"^termsel\.toolkit has no 'xyzzy'\.$"):
         _ = termsel.toolkit.xyzzy
+
+
+@pytest.fixture(scope="module")
+def result() -> termsel.Result:
+    scene = termsel.simulate_scene("ikonos-hamedan", seed=1, roles=(20, 0, 8), n_lines=0)
+    return termsel.run(features=scene, method="affine")
+
+
+def test_every_command_that_python_has_under_no_name_of_its_own_is_explained() -> None:
+    from termsel.cli.main import cli
+    from termsel.plugins.registry import registry
+
+    context = click.Context(cli, info_name="termsel")
+    for command in (*cli.list_commands(context), *registry().names("commands")):
+        name = command.replace("-", "_")
+        if hasattr(termsel, name):
+            continue
+        with pytest.raises(AttributeError, match="Did you mean ") as caught:
+            getattr(termsel, name)
+        meant = str(caught.value).partition("Did you mean ")[2].removesuffix("?")
+        if meant.startswith("Result."):
+            assert hasattr(termsel.Result, meant.partition(".")[2]) or (
+                meant.partition(".")[2] in termsel.Result.__annotations__)
+        else:
+            assert meant == f"termsel {command} on the command line"
+
+
+@pytest.mark.parametrize(("name", "words"), [
+    ("read_points", "read?"), ("read_csv", "read?"), ("locate", "Result.locate?"),
+    ("accuracy", "Result.accuracy?"), ("match_points", "termsel match-points on the command")])
+def test_names_of_other_programs_lead_to_those_of_termsel(name: str, words: str) -> None:
+    with pytest.raises(AttributeError, match=re.escape(f"Did you mean {words}")):
+        getattr(termsel, name)
+
+
+@pytest.mark.parametrize("name", ["to_image", "rowcol", "xy", "to_world", "score", "coef_", "crs"])
+def test_attributes_of_other_libraries_lead_to_one_that_is_there(
+        name: str, result: termsel.Result) -> None:
+    for thing, root in ((result, "result"), (result.fit, "fit")):
+        with pytest.raises(AttributeError) as caught:
+            getattr(thing, name)
+        named = re.search(rf"\b{root}\.([a-z.]+)", str(caught.value))
+        assert named is not None, caught.value
+        value: object = thing
+        for part in named[1].strip(".").split("."):
+            value = getattr(value, part)
+
+
+def test_brackets_lead_to_what_holds_the_values(result: termsel.Result) -> None:
+    with pytest.raises(TypeError, match=re.escape("['line']. It is features.points.image[:, 0]")):
+        _ = result.features["line"]
+    with pytest.raises(TypeError, match=re.escape("residuals.to_pandas().set_index('id')")):
+        _ = result.residuals["P1"]
+    assert result.residuals[0].id == next(iter(result.residuals)).id
+    with pytest.raises(TypeError, match=re.escape("Result has no ['rmse']. Write .rmse")):
+        _ = result["rmse"]
+    with pytest.raises(AttributeError, match=re.escape("It is accuracy.image.total")):
+        _ = result.accuracy.rmse
+    assert result.accuracy.image.total > 0
+
+
+@pytest.mark.parametrize("name", ["Points", "Lines"])
+def test_what_is_made_of_arrays_says_how_a_table_becomes_one(name: str) -> None:
+    with pytest.raises(TypeError, match=re.escape(f"{name}() lacks image and ground. termsel.re")):
+        getattr(termsel, name)("table")
+
+
+def test_places_are_rows_of_numbers(result: termsel.Result) -> None:
+    pandas = pytest.importorskip("pandas")
+    x, y, z = result.features.points.ground[0]
+    with pytest.raises(TypeError, match=re.escape("as a row: project([[")):
+        result.project(x, y, z)
+    with pytest.raises(TypeError, match=re.escape("locate([[1, 2]], 300)")):
+        result.locate(1, 2, 300)
+    with pytest.raises(termsel.TermselError, match="give x, y and z of each place"):
+        result.project([[x, y]])
+    table = pandas.DataFrame({"id": ["A"], "x": [x], "y": [y], "z": [z]})
+    with pytest.raises(termsel.TermselError, match=re.escape("TABLE[['x', 'y', 'z']]")):
+        result.project(table)
+    assert np.isfinite(result.project(table[["x", "y", "z"]])).all()
+    with pytest.raises(termsel.TermselError, match=re.escape("pandas.read_csv('places.csv'")):
+        result.project("places.csv")
+
+
+def test_a_crs_of_another_library_is_written_as_text() -> None:
+    pyproj = pytest.importorskip("pyproj")
+    scene = termsel.simulate_scene("ikonos-hamedan", seed=1)
+    table = scene.points.to_pandas()
+    with pytest.raises(termsel.TermselError, match=re.escape("Write crs='EPSG:4979'.")):
+        termsel.fit(table, "affine", crs=4979)
+    with pytest.raises(termsel.TermselError, match=re.escape("Write crs=CRS.to_wkt()")):
+        termsel.fit(table, "affine", crs=pyproj.CRS(4979))
+    termsel.fit(table, "affine", crs=pyproj.CRS(4979).to_wkt())
+
+
+def test_files_that_were_given_are_named_again_in_the_call_to_write() -> None:
+    with pytest.raises(TypeError, match=re.escape("termsel.read('mine.csv', image='a.tif')")):
+        termsel.run(features="mine.csv", image="a.tif")
+    with pytest.raises(TypeError, match=re.escape("open_dem('dem.tif', crs='EPSG:4979')")):
+        termsel.open_dem("dem.tif")
+    with pytest.raises(TypeError, match="bounded by evaluations=, generations= or seconds="):
+        termsel.run(features="mine.csv", n_trials=100)
+
+
+def test_a_table_that_lies_on_its_side_and_options_in_a_dict() -> None:
+    scene = termsel.simulate_scene("ikonos-hamedan", seed=1)
+    table = scene.points.to_pandas()
+    with pytest.raises(termsel.TermselError, match=re.escape("give TABLE.T")):
+        termsel.fit(table.T, "affine", crs="EPSG:4979")
+    with pytest.raises(termsel.TermselError, match=re.escape("degree=VALUE")):
+        termsel.fit(scene, "poly3d", options={"degree": 1})
+
+
+def test_heights_that_lack_are_read_with_the_table(caplog: pytest.LogCaptureFixture) -> None:
+    scene = termsel.simulate_scene("ikonos-hamedan", seed=1)
+    table = scene.points.to_pandas()
+    table.loc[2, "z"] = np.nan
+    termsel.fit(table, "affine", crs="EPSG:4979")
+    assert "(termsel.read(TABLE, dem=FILE))" in caplog.text
+    assert "--" not in caplog.text
+
+
+def test_the_file_of_a_study_is_to_be_run(tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text("")
+    with pytest.raises(termsel.TermselError, match=re.escape("study.toml --out DIR runs a study")):
+        termsel.read_study(tmp_path / "study.toml")

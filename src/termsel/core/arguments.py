@@ -10,19 +10,24 @@ import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import wraps
 from inspect import Parameter, signature
+from numbers import Real
+from os import PathLike
 from typing import TYPE_CHECKING, Any, ClassVar, ParamSpec, TypeVar
 
 from termsel.core.errors import TermselError, count_in_words, likely_names
-from termsel.core.kinds import MADE_BY, Kind, kinds_of, wrong_kind_message
+from termsel.core.kinds import Kind, kinds_of, remedy_for, wrong_kind_message
 from termsel.core.remedies import called_in_python, in_python
 
 log = logging.getLogger(__name__)
 
 P = ParamSpec("P")
 R = TypeVar("R")
+C = TypeVar("C")
 
-Meant = Callable[[str, object], str]
-"""Returns a sentence on what an argument of a name and value should be; "" if that is unknown."""
+Meant = Callable[[str, object, Mapping[str, object]], str]
+"""Returns a sentence on what an argument of a name and value should be; "" if that is unknown.
+
+The third argument has the values by name that were given for arguments which the function takes."""
 
 
 Remark = Callable[[Mapping[str, Any], Any], str]
@@ -34,7 +39,7 @@ Places = Callable[[tuple[object, ...]], str]
 
 
 def explains_arguments(
-        meant: Meant = lambda _name, _value: "", places: Places = lambda _values: "",
+        meant: Meant = lambda _name, _value, _given: "", places: Places = lambda _values: "",
         checked_within: Collection[str] = (), remark: Remark = lambda _given, _returned: "",
         ) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Return a decorator of a function: arguments that it does not take are refused with a remedy.
@@ -82,10 +87,10 @@ def explains_arguments(
             for name, value in {} if takes_any else kwargs.items():
                 if name not in names:
                     message = f"{function.__name__}() has no argument {name!r}."
-                    remedy = meant(name, value) or _near_names_in_words(name, names, given)
+                    remedy = meant(name, value, given) or _near_names_in_words(name, names, given)
                     raise TypeError(f"{message} {remedy}")
             if lacking := [name for name in required if name not in given]:
-                raise TypeError(_lacking_message(function.__name__, lacking, [
+                raise TypeError(_lacking_message(function.__name__, lacking, given, [
                     name for name in required if name != "self"]))
             if not kinds:
                 # Hints are evaluated once, and not before the function is used.
@@ -116,7 +121,7 @@ def _refuse_wrong_kinds(given: Mapping[str, object], kinds: Mapping[str, Kind],
     """Raise TermselError for the first argument that is not of its kind."""
     for name, value in given.items():
         if name in kinds and not kinds[name].holds(value):
-            remedy = MADE_BY.get(kinds[name].words) or (
+            remedy = remedy_for(name, value, kinds[name]) or (
                 None if name in required else "Correct it, or leave it out.")
             raise TermselError(wrong_kind_message(name, value, kinds[name]), hint=remedy, name=name)
 
@@ -127,14 +132,42 @@ def _too_many_message(function: str, args: tuple[object, ...], placed: Sequence[
     # That of a method is its object, which nobody writes.
     own = int(placed[:1] == ["self"])
     count = count_in_words(len(placed) - own, "argument")
-    remedy = places(args) or _places_in_words(placed[own:], names[own:])
+    remedy = (places(args) or _as_one_row(function, args[own:], placed[own:])
+              or _places_in_words(placed[own:], names[own:]))
     return f"{function}() takes {count} by position, not {len(args) - own}. {remedy}"
 
 
-def _lacking_message(function: str, lacking: Sequence[str], required: Sequence[str]) -> str:
-    """Return the message for arguments that a function cannot do without."""
-    shown = ", ".join(required)
-    return f"{function}() lacks {' and '.join(lacking)}: {function}({shown})."
+_ROWS = ("ground", "image")
+"""Arguments that hold a row of coordinates for each place."""
+
+
+def _as_one_row(function: str, values: Sequence[object], placed: Sequence[str]) -> str:
+    """Return how numbers that were given one by one are written as a place; "" for others."""
+    n_further = len(placed) - 1
+    if not placed or placed[0] not in _ROWS or not all(
+            isinstance(value, Real) for value in values):
+        return ""
+    row = list(values[:len(values) - n_further])
+    further = "".join(f", {value}" for value in values[len(values) - n_further:])
+    return f"Give each place as a row: {function}([{row}]{further})."
+
+
+_WRITTEN_AS = {"crs": "crs='EPSG:4979'"}
+"""How arguments are given, where their name does not show it."""
+
+
+def _lacking_message(function: str, lacking: Sequence[str], given: Mapping[str, object],
+                     required: Sequence[str]) -> str:
+    """Return the message for arguments that a function cannot do without, with a call to write.
+
+    Names of files that were given are repeated in it.
+    """
+    shown = []
+    for name in required:
+        value = given.get(name)
+        is_file = isinstance(value, str | PathLike)
+        shown.append(repr(str(value)) if is_file else _WRITTEN_AS.get(name, name))
+    return f"{function}() lacks {' and '.join(lacking)}: {function}({', '.join(shown)})."
 
 
 def _places_in_words(placed: Sequence[str], names: Sequence[str]) -> str:
@@ -163,10 +196,18 @@ _MOST_BEGUN = 3
 _ALSO_CALLED = {
     "load": "read_result", "open": "read_result", "load_result": "read_result",
     "open_result": "read_result", "result": "read_result", "results": "read_result",
+    "read_points": "read", "read_lines": "read", "read_csv": "read", "read_gcps": "read",
+    "read_file": "read", "read_table": "read", "load_points": "read", "from_file": "read",
+    "predict": "Result.project", "locate": "Result.locate", "inverse": "Result.locate",
+    "accuracy": "Result.accuracy", "residuals": "Result.residuals", "summary": "Result.summary",
     "georeference": "run", "auto": "run", "adjust": "fit", "transform": "Result.project",
     "project": "Result.project", "report": "Result.report", "plot": "Result.plot",
-    "sigma": "Result.sigma", "plan": "termsel plan on the command line",
-    "list": "termsel list on the command line", "describe": "termsel describe on the command line"}
+    "sigma": "Result.sigma"} | {
+    name.replace("-", "_"): f"termsel {name} on the command line" for name in (
+        "plan", "list", "describe", "check", "block", "app", "example", "match-points",
+        "match-lines", "match-ties", "auto-georeference", "map-series", "flight-camera",
+        "stability", "bench", "block-points", "block-select", "plugins", "new-plugin",
+        "completion", "match-example", "block-example")}
 """Names of termsel by what other programs, or its own commands, call them."""
 
 
@@ -195,6 +236,39 @@ class Explained:
                 message = f"{message} {cls.elsewhere.get(name) or question}".rstrip()
             # With a name of its own, Python adds no guess to that of the message.
             raise AttributeError(message, name=name)
+
+        def __getitem__(self, key: object) -> object:
+            """Raise TypeError with what is meant by a name in brackets, or that there are none."""
+            cls = type(self)
+            meant = cls.elsewhere.get(key, "") if isinstance(key, str) else ""
+            if isinstance(key, str) and not meant and hasattr(cls, key):
+                meant = f"Write .{key} in its place."
+            raise TypeError(f"{cls.__name__} has no [{key!r}]. {meant}".rstrip())
+
+
+def lacks_said(remedy: str) -> Callable[[type[C]], type[C]]:
+    """Return a decorator of a class: where it is made of too little, a remedy says of what.
+
+    For classes that are made of arrays, and that callers have other ways to get.
+    """
+    def decorate(cls: type[C]) -> type[C]:
+        """Return the class, which counts its arguments before it takes them."""
+        make = cls.__init__
+        required = [name for name, parameter in signature(make).parameters.items()
+                    if parameter.default is Parameter.empty and name != "self"]
+
+        @wraps(make)
+        def __init__(self: object, *args: object, **kwargs: object) -> None:
+            """Make the object; raise TypeError where an argument lacks."""
+            if len(args) + len(kwargs) < len(required):
+                lacking = [name for name in required[len(args):] if name not in kwargs]
+                raise TypeError(f"{cls.__name__}() lacks {' and '.join(lacking)}. {remedy}")
+            make(self, *args, **kwargs)
+
+        cls.__init__ = __init__  # type: ignore[method-assign]
+        return cls
+
+    return decorate
 
 
 def missing_name_message(module: str, name: str, names: Iterable[str]) -> str:

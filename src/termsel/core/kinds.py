@@ -178,6 +178,25 @@ MADE_BY = {
 """Where a value of a kind comes from, by the words of the kind."""
 
 
+_COLUMNS = {"ground": ["x", "y", "z"], "image": ["line", "sample"]}
+"""Columns of a table that are an array of places, by the name of the argument."""
+
+
+def remedy_for(name: str, value: object, kind: Kind) -> str:
+    """Return what to write in place of a value that is not of its kind; "" if nothing is known."""
+    if name == "crs" and isinstance(value, Integral):
+        return f"Write crs='EPSG:{value}'."
+    # Those of pyproj and rasterio.
+    if name == "crs" and hasattr(value, "to_wkt"):
+        return "Write crs=CRS.to_wkt(), with this object as CRS."
+    if name in _COLUMNS and hasattr(value, "columns"):
+        return f"Give its columns, such as {name}=TABLE[{_COLUMNS[name]}]."
+    if name in _COLUMNS and isinstance(value, str | PathLike):
+        return (f"Read the file first: {name}=pandas.read_csv({str(value)!r}, "
+                f"comment='#')[{_COLUMNS[name]}].")
+    return MADE_BY.get(kind.words, "")
+
+
 def wrong_kind_message(name: str, value: object, kind: Kind) -> str:
     """Return what is wrong with an argument that is not of its kind."""
     shown = "None" if value is None else shown_value(value)

@@ -20,6 +20,8 @@ _PLACEHOLDER = re.compile(r"[A-Z][A-Z0-9]*")
 _ARGUMENTS = {"res": ("resolution",), "points": ("points", "features", "result"),
               "output": ("output", "path", "out"), "out": ("out", "folder")}
 """Arguments that options are called otherwise in Python, the likeliest first."""
+_OF_READING = ("dem",)
+"""Options that in Python belong to the reading of points, but for functions that have them too."""
 _FLAGS = {"overwrite": "overwrite=True", "no-final": "final=False", "final": "final=True",
           "verbose": "verbose=True", "quiet": "quiet=True"}
 
@@ -52,6 +54,8 @@ class Remedy:
     def __str__(self) -> str:
         """Return the option, or the argument, as whoever asked types it."""
         if (call := _called.get()) is not None:
+            if self.value and self.name in _OF_READING and self.name not in call.arguments:
+                return f"termsel.read(TABLE, {self.name}={_literal(self.value)})"
             return _as_argument(self.name, self.value, call.arguments)
         return f"--{self.name} {self.value}" if self.value else f"--{self.name}"
 

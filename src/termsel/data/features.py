@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from termsel.core.arguments import explains_arguments
+from termsel.core.arguments import explains_arguments, lacks_said
 from termsel.core.display import Glance
 from termsel.core.errors import TermselError, count_in_words
 from termsel.data.arrays import BoolArray as BoolArray
@@ -49,6 +49,7 @@ _OF_POINTS: Mapping[str, str] = {
 """Where the coordinates of points are, by what they are called elsewhere."""
 
 
+@lacks_said("termsel.read(TABLE).points makes it of a table or a file.")
 @dataclass(frozen=True, eq=False, repr=False)
 class Points(Tabular):
     """Conjugate points.
@@ -132,6 +133,7 @@ class Points(Tabular):
                 "sample": self.image[:, 1], "x": x, "y": y, "z": z, **sigma, **self.attributes}
 
 
+@lacks_said("termsel.read(lines=TABLE).lines makes it of a table or a file.")
 @dataclass(frozen=True, eq=False, repr=False)
 class Lines(Tabular):
     """Conjugate straight lines, whose end points are not conjugate.

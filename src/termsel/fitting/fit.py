@@ -278,6 +278,16 @@ class Fit(Glance):
         "predict": "Image positions are fit.project(ground).",
         "transform": "Image positions are fit.project(ground).",
         "inverse": "Ground positions are fit.locate(image, heights).",
+        **dict.fromkeys(("to_image", "to_pixel", "to_pixels", "ground_to_image", "world_to_pixel",
+                         "rowcol", "index"), "Image positions are fit.project(ground)."),
+        **dict.fromkeys(("to_ground", "to_world", "image_to_ground", "pixel_to_world", "xy"),
+                        "Ground positions are fit.locate(image, heights)."),
+        "score": "The RMSE of points is fit.rmse(points).",
+        "coef_": "They are fit.coefficients.", "intercept_": "It is in fit.coefficients.",
+        "crs": "It is fit.control.crs.",
+        "summary": "print(fit) says the most; termsel.run returns a result, which has a summary.",
+        "plot": "termsel.run returns a result, which has plots.",
+        "report": "termsel.run returns a result, which has a report.",
         "export": "termsel.run returns a result, which termsel.export writes.",
         "save": "termsel.run returns a result, which termsel.write_result writes.",
         "accuracy": "termsel.run returns a result, which has it."}
@@ -658,8 +668,12 @@ class Fit(Glance):
             # A plane model does not look at heights, so that they may be missing.
             return np.pad(points, ((0, 0), (0, 1)), constant_values=np.nan)
         if points.shape[1:] != (3,):
+            if self.model.uses_height:
+                hint = "This model uses heights: give x, y and z of each place, [[x, y, z]]."
+            else:
+                hint = "Give x and y of each place, [[x, y]], or x, y and z."
             raise TermselError(f"ground points have shape {points.shape}, expected (n, 3)",
-                               hint="Models without heights take (n, 2), too.")
+                               hint=hint)
         return points
 
     def _nan_where_unknown(self, image: FloatArray, ground: FloatArray) -> FloatArray:
@@ -918,7 +932,10 @@ def _surface_of(heights: ArrayLike | Surface, crs: str) -> FloatArray | Surface:
         with suppress(TypeError, ValueError):
             return numbers_or_nan(heights)
         raise TermselError(f"the heights are {shown_value(heights)}, {problem}")
-    given = "not open yet" if isinstance(heights, AbstractContextManager) else shown_value(heights)
+    if isinstance(heights, AbstractContextManager):
+        given, file = "not open yet", "FILE"
+    else:
+        given, file = shown_value(heights), repr(str(heights))
     raise TermselError(f"the heights are {given}, {problem}",
-                       hint=f"Open it: with termsel.open_dem('FILE', {crs!r}) as dem: "
+                       hint=f"Open it: with termsel.open_dem({file}, {crs!r}) as dem: "
                             "result.locate(image, dem)")

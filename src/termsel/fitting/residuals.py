@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -61,6 +61,15 @@ class Residuals(tuple[Residual, ...], Framed):
         table = super().__new__(cls, rows)
         table.crs = crs
         return table
+
+    # For programs alone: a checker of types knows that a tuple has no names.
+    if not TYPE_CHECKING:
+        def __getitem__(self, index: object) -> object:
+            """Return a residual, or several; raise TypeError for an id or a name of a column."""
+            if isinstance(index, str):
+                raise TypeError(f"Residuals has no [{index!r}]: it is a list. As a table: "
+                                "residuals.to_pandas().set_index('id').")
+            return super().__getitem__(index)
 
     def to_geopandas(self, crs: str | None = None) -> Any:
         """Return a geopandas GeoDataFrame with the place of each, in the CRS of the control."""

@@ -665,7 +665,7 @@ def _urgent_warnings_and_notes(record: Record) -> list[str]:
     wrong_heights = [note for note in record.notes if BEYOND_RPC in note]
     if BEYOND_RPC in _why_rpc_unused(record):
         wrong_heights.clear()
-    # What follows from wrong points matters less than that some are wrong.
+    # What outliers bring about matters less than that there are some.
     notes = sorted(record.notes, key=lambda note: CONTRADICT not in note)
     return [*_urgent_warnings(record), *wrong_heights,
             *(note for note in notes if note and not _is_shown(note)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from inspect import signature
 from pathlib import Path
 
@@ -23,19 +24,33 @@ _FEATURES = ("points", "gcps", "file", "files", "data", "path")
 """What the features are called elsewhere."""
 
 
-def argument_meant(name: str, value: object) -> str:
-    """Return a sentence on what an argument of `run` should be; "" if nothing is known of it."""
+_BUDGETS = frozenset((
+    "budget", "iterations", "n_iter", "max_iter", "maxiter", "niter", "n_trials", "trials",
+    "max_evals", "n_evals", "max_evaluations", "n_gen", "max_generations", "timeout", "max_time",
+    "time_limit", "epochs"))
+"""What bounds a search elsewhere."""
+
+
+def argument_meant(name: str, value: object, given: Mapping[str, object]) -> str:
+    """Return a sentence on what an argument of `run` should be; "" if nothing is known of it.
+
+    `given` has the arguments that `run` takes: files that are named among them are named again.
+    """
     shown = repr(value) if isinstance(value, str | Path | int | float) else "..."
     if name in _FEATURES:
         return f"Points and lines are features={shown}."
+    features = given.get("features")
+    table = repr(str(features)) if isinstance(features, str | Path) else "FILE"
     if name == "lines":
-        return f"Points and lines are read together: features=termsel.read('points.csv', {shown})."
+        return f"Points and lines are read together: features=termsel.read({table}, {shown})."
+    if name in _BUDGETS:
+        return "A search is bounded by evaluations=, generations= or seconds=."
     if name in _OF_RESULT:
         return _OF_RESULT[name]
     if name in _names_of_options():
         return f"It is an option: options={{{name!r}: {shown}}}."
     if name in _names_of_reading():
-        return f"termsel.read has it: features=termsel.read('points.csv', {name}={shown})."
+        return f"termsel.read has it: features=termsel.read({table}, {name}={shown})."
     return ""
 
 

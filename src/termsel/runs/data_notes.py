@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel.core.errors import count_in_words, first_names_in_words, rounded_size_text
+from termsel.core.remedies import Remedy
 from termsel.data.coordinates.crs import (
     EARTH,
     LOCAL,
@@ -280,7 +281,7 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     if heights and not blank and 0 < len(missing) < len(features):
         yield (f"{len(missing)} of {len(features)} {features.word} have no height, so the heights "
                f"of the others were not used: {first_names_in_words(missing)}. Take those that "
-               "are missing from a raster (--dem FILE).")
+               f"are missing from a raster ({Remedy('dem', 'FILE')}).")
     if heights and len(features) > 1 and not missing:
         # Heights may rest on one or two features.
         carrying = observations.carriers
@@ -515,8 +516,8 @@ def _why_heights_unused(control: FitData, z: FloatArray, hidden: bool) -> str:
         if features.heights:
             remedy = "Is the raster of heights the right one?"
         else:
-            remedy = ("If they are not known, leave them blank or take them from a raster (--dem "
-                      "FILE).")
+            remedy = ("If they are not known, leave them blank or take them from a raster "
+                      f"({Remedy('dem', 'FILE')}).")
         return f"All heights are {z[0]:g}, so they were not used. {remedy}"
     if hidden:
         return (f"The errors of the {features.word} are too large to show what a height "

@@ -125,7 +125,10 @@ def _refuse_unknown(options: Mapping[str, Any], model: type[SensorModel]) -> Non
             # Where no model is named, another one may be meant.
             kind, *owners = owners_of_options().get(key, ("",))
             hint = ""
-            if kind == "model":
+            if key == "options":
+                known = f"{names[0]}=VALUE" if names else "a model that has some"
+                hint = f"Options are arguments of their own here: {known}."
+            elif kind == "model":
                 hint = f"{first_names_in_words(owners, 3)} have it: model={owners[0]!r}."
             error = unknown_name_error("option", key, [*names, "crs", "columns"], hint)
             error.what = f"{error.what} of the model {model.name!r}"

@@ -178,8 +178,8 @@ def note_on_blank(ids: Sequence[str], features: FeatureSet) -> str:
     takes, heights, them = ("takes", "its height", "it") if is_one else (
         "take", "their heights", "them")
     return (f"{count_in_words(len(ids), features.word[:-1])} without a height {takes} no part, as "
-            f"the model uses heights: {named}. Give {heights}, or take {them} from a raster (--dem "
-            "FILE).")
+            f"the model uses heights: {named}. Give {heights}, or take {them} from a raster "
+            f"({Remedy('dem', 'FILE')}).")
 
 
 FILE = "file"

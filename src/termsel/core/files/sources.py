@@ -194,8 +194,8 @@ def refused_format_error(path: object, head: bytes, of: object = None) -> Termse
     elif is_text(head) or head.lstrip().startswith(b"{"):
         reason = "this is a file of text, not a raster"
         code = "text"
-        hint = ("Give a raster, such as a GeoTIFF. A table of points is given by --points FILE, "
-                "an RPC by --rpc FILE.")
+        hint = ("Give a raster, such as a GeoTIFF; if this is a table of points, or an RPC, give "
+                "it as such.")
     else:
         reason = "this is no raster of a format that termsel opens"
         hint = f"If a GIS shows it, convert it: {hint[len('Convert it: '):]}"

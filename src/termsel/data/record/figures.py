@@ -7,11 +7,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import log, nan, sqrt
 from statistics import NormalDist
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 from msgspec import UNSET, Meta, UnsetType, field
 
+from termsel.core.arguments import Explained
 from termsel.core.errors import count_in_words
 from termsel.data.record.chances import chi_squared_quantile, t_quantile
 
@@ -39,7 +40,8 @@ Objectives = Mapping[str, int | float | None]
 """Objectives by name; counts are whole numbers."""
 
 
-class RecordPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class RecordPart(Explained, msgspec.Struct, frozen=True, forbid_unknown_fields=True,
+                 omit_defaults=True):
     """A part of the record. Keys with a default are left out where they have it."""
 
 
@@ -328,6 +330,15 @@ class StandardFigure(RecordPart, frozen=True, omit_defaults=False):
 
 class Accuracy(RecordPart, frozen=True):
     """The accuracy on independent points."""
+
+    elsewhere: ClassVar[Mapping[str, str]] = {
+        "rmse": "It is accuracy.image.total [px]; by roles, result.rmse.",
+        "mae": "The RMSE is accuracy.image.total [px].",
+        "ce90": "termsel.ce90(errors) computes it.",
+        "std": "The RMSE is accuracy.image.total [px].",
+        "value": "The RMSE is accuracy.image.total [px].",
+        "px": "The RMSE is accuracy.image.total [px].",
+        "n": "It is accuracy.image.n."}
 
     image: InImage
     """In the image [px]."""

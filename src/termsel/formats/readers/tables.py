@@ -612,6 +612,11 @@ def _missing_column_error(path: Path | None, line: int | None, header: Sequence[
                  "this table as their image lines: --lines GROUND.geojson --image-lines "
                  f"{path or 'FILE'}.")
     numbers = sum(_is_number(cell) for cell in header)
+    if numbers > len(header) / 2 and path is None:
+        return TermselError(
+            "the columns of the table have numbers for names",
+            hint=f"Name them, such as {','.join(COORDINATES)}; if the table is transposed, give "
+                 "TABLE.T.")
     if numbers > len(header) / 2:
         return TermselError(
             "the first line has numbers where the columns should be named", file=path, line=line,

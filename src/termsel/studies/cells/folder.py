@@ -41,6 +41,12 @@ def _read_plan(folder: Path) -> tuple[Spec, int, dict[str, dict[str, Any]]]:
     file = path_inside(folder, PLAN)
     repeat = "Repeat the command that began the study."
     if not file.is_file():
+        if folder.is_file():
+            raise TermselError("this is a file, and a study is a folder", file=folder,
+                               hint=f"termsel compare {folder} --out DIR runs a study that a file "
+                                    "describes, and writes its folder: give that."
+                               if folder.suffix == ".toml" else
+                               "Give the folder that termsel compare --out wrote.")
         has_run = (folder / "result.json").is_file()
         raise TermselError("this folder has a run, not a study" if has_run else
                            "there is no study in this folder", file=folder,
