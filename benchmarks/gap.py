@@ -319,7 +319,7 @@ def other_scenes() -> Iterator[str]:
     values = {name: np.array(pairs) for name, pairs in found.items()}
     optimum = values["proven optimum"]
     yield SECOND.format(scenes=len(SCENES))
-    yield ("| method | selection RMSE [px] | check / optimum | independent RMSE [px] | "
+    yield ("| method | selection RMSE [px] | selection / optimum | independent RMSE [px] | "
            "scenes in which it is better on independent check points than the optimum |")
     yield "|---|---:|---:|---:|---:|"
     for name, pairs in values.items():
@@ -380,7 +380,7 @@ points. New points are 1,000 further ones of the same scene, measured as well. I
 - {reached} of {runs:,} runs of searches reached it. The median run ends {typical:.0f} % above it.
   The local search by axis below had 6 million evaluations, which take one to two minutes.
 - **The optimum is a bad choice for new points:** its RMSE there is {independent} px,
-  {worth:.0f} % above that of a plain quadratic polynomial, {quadratic} px. The median of the
+  {worth:.0f} % above that of a conventional quadratic polynomial, {quadratic} px. The median of the
   searches has {median:.3f} px.
 - Among the {near:,} runs within 30 % of the optimum, selection RMSE and RMSE of new points have the
   rank correlation {rho}; number of terms and RMSE of new points {fewer}.
@@ -399,12 +399,13 @@ Poles rule some out: no denominator may be near zero at a point.
 
 ## Proof
 
-Line and sample share no term, so each is decided by itself. The solver `exact` walks their
+Line and sample share no term, so each is proven by itself. The solver `exact` walks their
 selections by branch and bound. The bound uses three facts on all selections of some columns:
 their fits lie on one sphere through the observations; their denominators are positive; their
-squared check errors are a weighted sum that the best known selection limits. A convex quadratic
-form holds all three. If its minimum is above the limit, none of these selections can be better. The
-module `termsel.selection.best_subsets.bounds.closed` has the proof; tests hold it against
+squared errors at selection points are a weighted sum that the best known selection limits. A
+convex quadratic form holds all three. If its minimum is above the limit, none of these selections
+can be better. The module
+`termsel.selection.best_subsets.bounds.closed` has the proof; tests hold it against
 enumeration. Linear
 programs first find how much a denominator may exceed the others, as none is below the margin at
 the selection points and the guard points.
@@ -417,7 +418,7 @@ WORTH = """## What it is worth
 RMSE at the new points [px], with coefficients from the control points, or from control and
 selection points together:
 
-| terms | control | control and check |
+| terms | control | control and selection |
 |---|---:|---:|
 | the optimum | {} | {} |
 | quadratic polynomial | {} | {} |
@@ -425,7 +426,7 @@ selection points together:
 More points do not correct it: the terms themselves suit the selection points alone.
 """
 
-FRONT = """The walk decides the best selection of each number of terms as well. One that fewer terms
+FRONT = """The walk finds the best selection of each number of terms as well. One that fewer terms
 beat is left out. So the selection RMSE falls with each line; the independent RMSE does not.
 
 ```{image} ../_static/gap-to-optimum.svg

@@ -146,6 +146,15 @@ def test_none_is_never_said_of_outliers_that_cannot_be_found(limit: float | None
     assert "6 points are too few" in line
 
 
+@pytest.mark.parametrize(("limit", "said"), [
+    (11.5, "none found among 8 points; below 11.5 px most cannot be detected"),
+    (8.0, "none among 8 points")])
+def test_errors_that_a_test_of_few_points_misses_are_stated(limit: float, said: str) -> None:
+    """The least error that is found is stated where it is more than four times the RMSE."""
+    lines = first_screen(accuracy=accuracy(2.5, 12), blunder_test=outlier_test(limit, 8))
+    assert f"Outliers  {said}" in lines
+
+
 def test_each_figure_of_the_accuracy_stands_once() -> None:
     lines = " ".join(first_screen(**CASES["auto"]))
     assert lines.count("2.50 px") == lines.count("2.49 m") == lines.count("2.44 px") == 1

@@ -45,7 +45,14 @@ from termsel.results.first_screen import are_all_named, first_screen
 from termsel.results.plots import chart_block, why_chart_missing
 from termsel.results.selected import blocks_on_selection
 from termsel.results.tables import sigma_table
-from termsel.results.verdict import ROLE_WORDS, fits_of, label_of, outliers_in_words, verdict_table
+from termsel.results.verdict import (
+    CERTAINTY,
+    ROLE_WORDS,
+    fits_of,
+    label_of,
+    outliers_in_words,
+    verdict_table,
+)
 from termsel.results.view import View
 
 EXACT_BELOW = 1e-9
@@ -426,10 +433,11 @@ def _answer_on_bad_points(record: Record, view: View | None) -> Iterator[Block]:
     for row in view.worst:
         metres = rounded_size_text(on_ground[row["id"]]) if row["id"] in on_ground else "-"
         rows.append((row["id"], row["kind"], str(ROLE_WORDS.get(row["role"], row["role"])),
-                     rounded_size_text(row["distance"]), metres, row["blunder"]))
+                     rounded_size_text(row["distance"]), metres,
+                     CERTAINTY.get(row["blunder"], "")))
     yield TableBlock(
         f"Residuals of {listed} features, the largest first",
-        ("feature", "kind", "role", "residual [px]", "on the ground [m]", "blunder"), rows,
+        ("feature", "kind", "role", "residual [px]", "on the ground [m]", "outlier test"), rows,
         choice="picked", keys=[row["id"] for row in view.worst], folded=True)
 
 

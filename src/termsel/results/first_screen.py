@@ -75,6 +75,8 @@ _WIDTH, _FULL_WIDTH = 76, 86
 """Characters of a line next to its label, and of one without a label."""
 _MOST_OF_A_WARNING = 3
 """Lines that other facts leave to the first warning."""
+_INSENSITIVE = 4.0
+"""Least error that a test finds, by the size of their errors, above which it is stated."""
 _BLUNT = 0.005
 """Share of the extent of the features in the image of an error that must be exceeded to be
 detected."""
@@ -466,7 +468,8 @@ def _no_outlier_clause(record: Record) -> str:
         return f"not detectable: {_no_model_in_words(record)}"
     if is_blind or test.limit is None:
         return f"not detectable by this model among {features}"
-    if test.limit > _BLUNT * test.extent:
+    # The size of their errors is 0 where it is not known.
+    if test.limit > min(_BLUNT * test.extent, _INSENSITIVE * errors or test.extent):
         return (f"none found among {features}; below {rounded_size_text(test.limit)} px most "
                 "cannot be detected")
     return f"none among {features}"

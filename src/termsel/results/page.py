@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from html import escape
 from importlib.resources import files
@@ -32,6 +33,8 @@ from termsel.results.blocks import (
 from termsel.results.library import read_library
 from termsel.results.pictures import make_drawable
 from termsel.results.theme import dark_style, with_theme
+
+_OPTION = re.compile(r"--[a-z][\w-]*")
 
 MOST_COLUMNS = 7
 """Of a table on a narrow screen; one with more has its cells one below the other there."""
@@ -114,9 +117,9 @@ def _blocks_html(blocks: Iterable[Block], specs: dict[str, Any]) -> Iterator[str
 
 def _facts_html(facts: Sequence[Fact]) -> str:
     """Return the lines of the first screen: those without a label as text, others as a list."""
-    paragraphs = [f"<p>{_escape_html(fact.text)}</p>" for fact in facts if not fact.label
+    paragraphs = [f"<p>{_prose_html(fact.text)}</p>" for fact in facts if not fact.label
                   and fact.text]
-    rows = [f"<dt>{_escape_html(fact.label.strip())}</dt><dd>{_escape_html(fact.text)}</dd>"
+    rows = [f"<dt>{_escape_html(fact.label.strip())}</dt><dd>{_prose_html(fact.text)}</dd>"
             for fact in facts if fact.label]
     listed = f'<dl class="facts">{"".join(rows)}</dl>' if rows else ""
     return "\n".join([*paragraphs, listed])
@@ -131,9 +134,9 @@ def _block_html(block: Block, specs: dict[str, Any]) -> str:
     if isinstance(block, Detail):
         return _block_html(block.block, specs)
     if isinstance(block, str):
-        return f"<p>{_escape_html(block)}</p>"
+        return f"<p>{_prose_html(block)}</p>"
     if isinstance(block, Note):
-        return f"<p><strong>{_escape_html(block.label)}:</strong> {_escape_html(block.text)}</p>"
+        return f"<p><strong>{_escape_html(block.label)}:</strong> {_prose_html(block.text)}</p>"
     if isinstance(block, Fact):
         return _facts_html([block])
     if isinstance(block, Names):
@@ -225,6 +228,11 @@ def _row_html(table: TableBlock, i: int, classes: Sequence[str], is_listed: bool
 def _escape_html(text: str) -> str:
     """Return text of names and files as HTML, in which no markup or control sign has an effect."""
     return escape(make_printable(text))
+
+
+def _prose_html(text: str) -> str:
+    """Return a sentence as HTML, in which no option is broken at its hyphens."""
+    return _OPTION.sub(r'<span class="whole">\g<0></span>', _escape_html(text))
 
 
 def _read_resource(name: str) -> str:

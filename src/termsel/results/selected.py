@@ -237,9 +237,14 @@ def _table_of_members(record: Record, members: Sequence[Member | SizeRow]) -> Ta
     names = size.removeprefix("n_")
     proofs = {row.objectives[size]: sizes.proven_in_words(row) for row in record.by_size}
     # The heading of each column, and its cells.
-    columns = [(heading, [_objective_text(member.objectives[objective]) for member in members])
-               for heading, objective in ((sizes.noun_of_members(members), size),
-                                          *zip(further, further, strict=True))]
+    columns = [(sizes.noun_of_members(members),
+                [_objective_text(member.objectives[size]) for member in members])]
+    for objective in further:
+        if objective == "check-rmse":
+            columns.append(("selection [px]", [_px_text(member.rmse.check) for member in members]))
+        else:
+            columns.append((objective, [_objective_text(member.objectives[objective])
+                                        for member in members]))
     # A text has no room for the errors at selection points and for the names.
     page_only = []
     if "check-rmse" not in further:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from termsel.core.errors import rounded_size_text
 from termsel.results.blocks import TableBlock
 from termsel.results.charts.search import evenly_spaced
 from termsel.results.charts.terms import frequency_rows, term_rows
@@ -71,7 +72,7 @@ def sigma_table(view: View) -> TableBlock:
     return TableBlock("Standard deviation across the image", (
         "line", "sample", "standard deviation [px]"), [
             (f"{(cell['line'] + cell['line2']) / 2:.0f}",
-             f"{(cell['sample'] + cell['sample2']) / 2:.0f}", f"{cell['sigma']:.3g}")
+             f"{(cell['sample'] + cell['sample2']) / 2:.0f}", rounded_size_text(cell["sigma"]))
             for cell in cells if cell["line"] in rows and cell["sample"] in columns], folded=True)
 
 

@@ -18,8 +18,8 @@ from termsel.results.blocks import Block, TableBlock
 THIS = "this result"
 
 ROLE_WORDS = {"control": "control", "check": "selection", "independent": "independent check",
-              "off": "not used"}
-"""What tables and charts call the points of a role of files and options."""
+              "off": "not used", "left out": "not used", "rejected": "rejected outlier"}
+"""What tables and charts call the features of a role of files and options, or of a chart."""
 
 
 ALL_TERMS = "all-terms"
