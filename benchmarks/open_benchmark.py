@@ -1,8 +1,8 @@
 """The open benchmark: all methods of `termsel bench` on its forty sets.
 
 ``python -m benchmarks.open_benchmark --write`` makes docs/evidence/benchmark.md, and the results in
-plugins/termsel-bench. Peers that are not installed have no result: rasterio, scikit-learn and
-Orthority are required for the page. With ``--kept FILE`` the scores on fresh scenes are kept.
+plugins/termsel-bench. It needs rasterio, scikit-learn and Orthority, as a peer that is not
+installed would lose its row. With ``--kept FILE`` the scores on fresh scenes are kept.
 """
 
 from __future__ import annotations
@@ -116,6 +116,8 @@ def main() -> None:
     asked = parser.parse_args()
     found = []
     for one in score_all(METHODS, SETS):
+        if "not installed" in one.why:
+            sys.exit(f"{one.method.title} has no result: {one.why}")
         found.append(one)
         if one.method == METHODS[-1]:
             print(one.set_name, file=sys.stderr)
