@@ -322,7 +322,7 @@ class _Prepared:
 
     @cached_property
     def blocks(self) -> FloatArray | None:
-        """Normal equations of every feature; None where they do not pay, or are not safe."""
+        """Normal equations by feature (see `blocks_of`); None if they do not pay or are unsafe."""
         return blocks_of(self.source, self.feature, self.triangle)
 
 

@@ -531,7 +531,12 @@ class Auto(Method):
         fewest = self.fewest(data)
 
         def fit_without(excluded: BoolArray) -> Fit | None:
-            """Return the fit without the features of the mask `excluded` (n,)."""
+            """Return the fit without the features of the mask `excluded` (n,).
+
+            The rest chooses for itself if a method with a prior is compared; else the method that
+            all features choose is fitted to it. None for lines alone in that case, and where
+            nothing can be fitted.
+            """
             remaining = _features_without(data, excluded)
             choice = None
             if len(remaining) >= fewest:

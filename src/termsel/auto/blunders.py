@@ -692,8 +692,9 @@ def _judge_by_field(control: FitData, used: BoolArray, test: Test,
     """Return a mask (n,) of the features in use, and their test, judged again by a random field.
 
     Under a field local deformation is no blunder, and an error may be one though a polynomial
-    leaves as much elsewhere. Where the points support no field, or more than `max_share` are out of
-    use, `used` (n,) and `test` are returned as they were.
+    leaves as much elsewhere. `used` (n,) and `test` are those to begin with. Rounds end where a set
+    comes again, the points support no field, or more than `max_share` of them are out of use; what
+    the last round has found is returned, or both as given if there is none.
     """
     n = len(control)
     earlier_sets = set[bytes]()

@@ -383,7 +383,7 @@ def _likeliest_of(data: FitData, of_polynomials: Majority | None,
 
     The climb starts from the best halves of polynomials. Further halves and random samples follow
     only where these find something, but nothing clear. Where nothing is found, `of_polynomials`
-    comes back.
+    comes back, which may be None.
     """
     n = len(data)
     points = data.scaled.points

@@ -176,7 +176,7 @@ def _factors_without_folds(rows: FloatArray, fold: IntArray) -> FloatArray:
 
 
 def _triangle(rows: FloatArray) -> FloatArray:
-    """Return R of the decomposition QR of rows, or of each of several systems of rows."""
+    """Return R (..., min(m, k), k) of the decomposition QR of each system of rows (..., m, k)."""
     return np.asarray(np.linalg.qr(rows, mode="r"))
 
 

@@ -89,7 +89,7 @@ _OF_MANY = re.compile(r"Of many images, a file each: termsel compare --points '(
 
 
 def hint_for(ctx: click.Context, hint: str | None) -> str | None:
-    """Return the hint of an error in words that fit the command which it ended.
+    """Return the hint of an error, if any, in words that fit the command which it ended.
 
     Code that reads files for many commands advises --set swapped, which few commands have, and
     termsel compare for many files, which some commands take themselves.

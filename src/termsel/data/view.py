@@ -237,7 +237,10 @@ def _heights_show(view: CentralView, points: Points) -> bool:
 
 
 def _clearly_better_view(points: Points, size: int) -> CentralView | None:
-    """Return the view by 1, X, Y (and Z: size 4), if it is clearly better than an affine one."""
+    """Return the view by 1, X, Y (and Z: size 4) if it is clearly better than an affine one.
+
+    None if it is not, or if the points leave nothing over to tell by.
+    """
     columns = _projection_columns(points.ground, size)
     affine_sigma = _affine_deviation(columns, points.image)
     if affine_sigma is None or not _may_be_clearly_better(columns, points.image, affine_sigma):

@@ -53,7 +53,8 @@ def _linearised_fault(model: SensorModel, value: Any, *_args: Any, finite: bool 
 
 
 def _start_fault(model: SensorModel, value: Any, *_args: Any) -> str | None:
-    """Return how coefficients are at fault: one for each term."""
+    """Return how coefficients are at fault that should be one for each term; None if they are not.
+    """
     return difference_from_shape(value, (len(model.terms),))
 
 
@@ -68,12 +69,12 @@ def _image_fault(_model: SensorModel, value: Any, coefficients: FloatArray, *arg
 
 def _weights_fault(_model: SensorModel, value: Any, control: FloatArray, ground: FloatArray,
                    ) -> str | None:
-    """Return how weights are at fault: one for each place and control feature, (m, n)."""
+    """Return how weights, one for each place and control feature, (m, n), are at fault, or None."""
     return difference_from_shape(value, (len(ground), len(control)))
 
 
 def _axis_fault(model: SensorModel, value: Any) -> str | None:
-    """Return how the axis of each term is at fault: LINE, SAMPLE or BOTH."""
+    """Return how the axis of each term, LINE, SAMPLE or BOTH, is at fault; None if it is not."""
     fault = difference_from_shape(value, (len(model.terms),))
     if fault is None and not np.isin(value, (LINE, SAMPLE, BOTH)).all():
         return "returned an array with other numbers than 0, 1 and 2"
@@ -81,14 +82,14 @@ def _axis_fault(model: SensorModel, value: Any) -> str | None:
 
 
 def _rpc_fault(_model: SensorModel, value: Any, *_args: Any) -> str | None:
-    """Return how a value is at fault that should be an RPC."""
+    """Return how a value is at fault that should be an RPC; None if it is one."""
     from termsel.data.rpc import Rpc
 
     return difference_from_type(value, Rpc)
 
 
 def _model_fault(_model: SensorModel, value: Any, *_args: Any) -> str | None:
-    """Return how a value is at fault that should be a model."""
+    """Return how a value is at fault that should be a model; None if it is one."""
     return difference_from_type(value, SensorModel)
 
 

@@ -540,7 +540,7 @@ class RationalFunctions(MonomialModel):
         return replace(super().equations(features), prior=self._prior_weights(features))
 
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:
-        """Return them about a solution (see `RationalModel.linearised`)."""
+        """Return them about a solution, with the prior (see `RationalModel.linearised`)."""
         equations = super().linearised(features, coefficients)
         return equations and replace(equations, prior=self._prior_weights(features))
 

@@ -66,6 +66,11 @@ class MapRaster:
     """A georeferenced raster as tiles in any CRS."""
 
     def __init__(self, path: Path | str, remote: bool = False, crs: str | None = None) -> None:
+        """Open a raster, of which `crs` is the CRS if it has none; `remote` as for `Raster`.
+
+        Raises TermselError for a raster that is not georeferenced, has no CRS while none is given,
+        is too large or cannot be read.
+        """
         refuse_giant(path)
         self.raster = Raster(path, remote)
         dataset = self.raster.dataset

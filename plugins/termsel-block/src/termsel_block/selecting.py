@@ -97,6 +97,12 @@ class OwdisBlock(Problem):
         Most ties that are candidates; if there are more, they are well distributed ones.
     least, most : int, optional
         Number of control features and ties together.
+
+    Raises
+    ------
+    TermselError
+        If the block cannot be adjusted, has no check points, or offers nothing to select from, or
+        if `least` is below 1, or above `most` or the number of candidates.
     """
 
     objectives = ("check-rmse",)

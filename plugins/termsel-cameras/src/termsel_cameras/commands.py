@@ -92,7 +92,8 @@ def _read_sheet(sheet: Path, crs: str | None, meridian: dict[str, str]) -> Featu
     """Return the points of a sheet in `crs`, or else in the CRS that it declares.
 
     If it declares none, its coordinates are longitudes and latitudes on WGS84. `meridian` has the
-    option of the prime meridian, if that is given.
+    option of the prime meridian, if that is given. Raises TermselError if the file cannot be read,
+    or has a CRS that is not known and no longitudes and latitudes.
     """
     try:
         return read(sheet, crs=crs, **meridian)

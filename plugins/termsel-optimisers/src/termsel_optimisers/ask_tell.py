@@ -87,6 +87,11 @@ def from_ask_tell(factory: Callable[[Problem, np.random.Generator], AskTell], *,
         segments: ClassVar[tuple[type[AnySegment], ...]] = SEGMENTS
 
         def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+            """Yield the evaluation of each question, until the optimiser asks for no more (None).
+
+            A factory or an optimiser at fault raises a `PluginFault` that says what it should
+            do, such as for genes of another number than those of the problem.
+            """
             with attribute_errors_to(factory, factory_name, CHECK):
                 optimiser = factory(problem, rng)
             for index in itertools.count():

@@ -227,6 +227,7 @@ def from_deap(toolbox_factory: Callable[[Problem], base.Toolbox],
         declared_options = (POPULATION,)
 
         def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+            """Yield the generations of the loop; TermselError if the factory gives no toolbox."""
             n = self.options["population"]
             box = toolbox_factory(problem)
             if not isinstance(box, base.Toolbox):

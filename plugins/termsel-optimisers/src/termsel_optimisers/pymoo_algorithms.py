@@ -81,6 +81,11 @@ class Pymoo(Solver):
     )
 
     def __init__(self, **options: Any) -> None:
+        """Take the options.
+
+        Raises TermselError for options that are not valid, for an algorithm that is not offered,
+        and for a horizon that the algorithm does not use.
+        """
         algorithm = options.get("algorithm")
         if isinstance(algorithm, str) and algorithm in UNFIT:
             raise TermselError(f"pymoo's algorithm {algorithm!r} {UNFIT[algorithm]}",

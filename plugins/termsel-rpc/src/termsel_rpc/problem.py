@@ -39,7 +39,7 @@ class Ce90(Criterion):
     is_rmse = False
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the CE90 of the selection points [px] by each fit (see `ce90`)."""
+        """Return the CE90 of the selection points by each fit, (p,) [px] (see `ce90`)."""
         with np.errstate(over="ignore", invalid="ignore"):
             return ce90(fits.check_errors)
 

@@ -60,6 +60,10 @@ class PushbroomRefine(Refinement):
                choices=("attitude", "position", "both")))
 
     def __init__(self, **options: Any) -> None:
+        """Take the options, and read the geometry; that of a file replaces its name as the option.
+
+        Raises TermselError for options that are not valid, or a geometry that cannot be read.
+        """
         super().__init__(**options)
         # The name of an embedded data set, the JSON of a result, or a file.
         stated = self.options["geometry"]

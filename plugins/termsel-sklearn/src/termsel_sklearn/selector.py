@@ -61,6 +61,9 @@ class ColumnProblem(Problem):
     objectives = ("ebic",)
 
     def __init__(self, X: FloatArray, y: FloatArray, weights: FloatArray, max_columns: int) -> None:
+        """Put columns and targets in the units of the fit; TermselError if all of X or of y are
+        constant.
+        """
         self._n, k = X.shape
         # Their mean is 1, so that RSS / n is a mean of squares.
         weights = weights / weights.mean()

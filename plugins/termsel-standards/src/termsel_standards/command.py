@@ -40,8 +40,8 @@ def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | N
     DIR is the folder that a run wrote with --out; its independent points are the check points.
     Without such points, and with fewer than the standards take, the accuracy that the run predicted
     is stated, with its interval and how it was found: it is no test, so the standards have no
-    statement on it. Of a folder of several
-    results, such as a block or a batch wrote, each is stated.
+    statement on it. Of a folder of several results, such as a block or a batch wrote, each is
+    stated.
     TABLE is a CSV of errors in metres, headed id,dx,dy and where they are known
     dz,x,y,sigma_x,sigma_y,sigma_z.
 

@@ -380,6 +380,10 @@ def fit_plane_average(points: Points, units: tuple[float, float]) -> PlaneAverag
 @lru_cache(maxsize=4)  # a fit, its errors and its spread need it
 def _cached_plane_average(measurements: Measurements,
                           units: tuple[float, float]) -> PlaneAverage | None:
+    """Return the average of points in a plane (see `fit_plane_average`); cached by its arguments.
+
+    None for too few points, for points on a line, and where one is indispensable.
+    """
     points = measurements.points
     positions = _in_units(points.ground, units)
     affine = evaluate_monomials(positions, CUBIC)[:, :N_AFFINE]

@@ -516,7 +516,7 @@ def polynomial_posterior(ground: FloatArray, image: FloatArray, exponents: Expon
 @lru_cache(maxsize=2)  # methods, blunders and spread ask about the same points
 def _cached_polynomial_posterior(ground: bytes, image: bytes, exponents: Exponents,
                                  weights: bytes | None) -> Posterior | None:
-    """Return what `polynomial_posterior` does, given the bytes of its arrays, which are the key.
+    """Return what `polynomial_posterior` does, None included, of arrays as bytes, the cache's key.
 
     It is cached since a regularised polynomial and a field next to it ask for the same one.
     """

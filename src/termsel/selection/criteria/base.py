@@ -85,7 +85,7 @@ class Criterion(Configurable, ABC):
     def subset_folds(self, control: Points) -> tuple[IntArray, ...]:
         """Return the control points held out together, an array of indices each; () by default.
 
-        Any of them make the subset score "kfold".
+        If there are any, the subset score is "kfold".
         """
         return ()
 

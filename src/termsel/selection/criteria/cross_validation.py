@@ -119,7 +119,7 @@ class KFold(_LeftOut):
     )
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the RMSE [px]."""
+        """Return the RMSE of each individual, (p,) [px], over the folds of all repeats."""
         used = fits.in_use
         squares = np.zeros(used.shape)
         for fold in self.folds(fits.control, fits.lines):

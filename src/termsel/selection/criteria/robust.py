@@ -36,7 +36,7 @@ class Median(Criterion):
     in_px = True
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the figure [px]."""
+        """Return the figure of each individual, (p,) [px]."""
         return _robust_figure(fits, MEDIAN)
 
 
@@ -59,5 +59,5 @@ class Huber(Criterion):
     declared_options = (THRESHOLD,)
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the figure [px]."""
+        """Return the figure of each individual, (p,) [px]."""
         return _robust_figure(fits, HUBER, self.options["threshold"])

@@ -82,7 +82,11 @@ class Spec:
 
 
 def read_spec(file: Path) -> Spec:
-    """Return the spec of a study file; errors name line and column."""
+    """Return the spec of a study file.
+
+    Raises TermselError, which names line and column, for what is wrong in it, and for the file of a
+    block.
+    """
     table, text = read_toml(file, "a study file",
                             "termsel example DIR writes a study.toml to begin with.")
     # The file of a block lists its images, and is another kind of file.

@@ -34,6 +34,7 @@ class Cubic:
     """
 
     def __init__(self, features: FeatureSet) -> None:
+        """Scale the points and divide them; TermselError for fewer than 3 control or no others."""
         points = features.points
         flat = np.isnan(points.ground).any()
         self.width = 2 if flat else 3

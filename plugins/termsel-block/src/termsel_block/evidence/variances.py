@@ -24,7 +24,7 @@ TAIL = 4.0
 
 def estimate_variances(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
                        covariances: Sequence[FloatArray], variances: Sequence[FloatArray],
-              ) -> list[FloatArray]:
+                       ) -> list[FloatArray]:
     """Return the new variance of the prior of each parameter of each image [px2].
 
     Parameters

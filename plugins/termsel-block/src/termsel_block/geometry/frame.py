@@ -73,9 +73,9 @@ class Frame:
         return np.asarray(ground[:, 2] * height_unit(self.crs))
 
     def geodetic(self, local: FloatArray) -> FloatArray:
-        """Return WGS84 longitude, latitude and ellipsoidal height of metres."""
+        """Return WGS84 longitude, latitude [deg] and ellipsoidal height [m] of metres (..., 3)."""
         return np.asarray(from_ecef(local @ self.axes + self.origin))
 
     def from_geodetic(self, geodetic: FloatArray) -> FloatArray:
-        """Return metres of WGS84 longitude, latitude and ellipsoidal height."""
+        """Return metres (..., 3) of WGS84 longitude, latitude [deg] and ellipsoidal height [m]."""
         return np.asarray((to_ecef(geodetic) - self.origin) @ self.axes.T)

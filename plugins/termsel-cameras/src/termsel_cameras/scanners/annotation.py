@@ -164,7 +164,10 @@ def _geometry_text(path: Path) -> str:
 
 @lru_cache(maxsize=8)  # a file is read by format, image and model; its time of change is a key
 def _read(path: Path, _changed: int) -> Annotation:
-    """Return the annotation of a file; `_changed`, its time of change, only renews the cache."""
+    """Return the annotation of a file; `_changed`, its time of change, only renews the cache.
+
+    Raises TermselError if the file is no annotation of Sentinel-1, or lacks something.
+    """
     root = _root_of_file(path)
     try:
         return _annotation_from_xml(root, path.name)

@@ -91,6 +91,11 @@ class Radar(Physical):
     terms_ = RADAR_TERMS
 
     def __init__(self, **options: Any) -> None:
+        """Take the options, and read the annotation; its text becomes the option `metadata`.
+
+        Raises TermselError for options that are not valid, an annotation that cannot be read, and
+        one that lacks what `burst` or `bistatic` need.
+        """
         super().__init__(**options)
         metadata = self.options["metadata"]
         self._annotation = annotation_of(metadata, self.options["swath"]) if metadata else None

@@ -51,8 +51,9 @@ class SheetOptions:
 
         `options_given` has the options that the user gave; `image` is not used. The projection
         becomes `fit_crs`, in which the model is fitted; coordinates stay as they are. It is the one
-        that is stated, that of a series, or one that "auto" chooses by cross-validation; without
-        any, features keep their own. Raises TermselError for options that do not go together.
+        that is stated, that of a series, or the one that "auto" finds most probable (see
+        `choose_by_points`); without any, features keep their own. Raises TermselError for options
+        that do not go together, and for a meridian or a projection that is none.
         """
         values = {option.name: option.parse(options_given[option.name]) for option in SHEET_OPTIONS
                   if options_given.get(option.name) is not None}

@@ -157,8 +157,8 @@ class MetashapeMarkersWriter(PointsWriter):
         """Write the points as markers of one camera, with the horizontal CRS.
 
         Independent check points have references that are not enabled. How many points there are,
-        and which are left out, is logged. Raises TermselError for a
-        result without control points in a CRS of the Earth, or if none can be written.
+        and which are left out, is logged. Raises TermselError for a result without control points
+        in a CRS of the Earth, or if none can be written.
         """
         self.require(result, path)
         checked = points_for_others(result)

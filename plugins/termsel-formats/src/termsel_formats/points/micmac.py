@@ -188,8 +188,7 @@ class MicmacXmlWriter(PointsWriter):
         """Write the file of measures in the image and, beside it, that of the ground.
 
         If one cannot be written, neither is. How many points there are, and which are left out, is
-        logged. Raises TermselError if no control point with a height
-        can be written.
+        logged. Raises TermselError if no control point with a height can be written.
         """
         self.require(result, path)
         checked = points_for_others(result, with_heights=True)

@@ -123,8 +123,9 @@ class WorldFileWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write the six numbers of the affine map that is nearest to the model by least squares.
 
-        Its deviation from the model is logged. Raises TermselError for a model of the sky, and if
-        the model has too few ground positions for an affine map, or they lie on a line.
+        Its deviation from the model [px] is logged. Raises TermselError for a model of the sky,
+        if the model has too few ground positions for an affine map, or they lie on a line, and if
+        the nearest map would put the whole image on a line.
         """
         fitted = result.fit
         refuse_sky(fitted, "an affine map")

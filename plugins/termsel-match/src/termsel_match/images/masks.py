@@ -155,7 +155,10 @@ def mask_from_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> t
         turn = plane_transformer(mask_crs, crs)
 
         def to_px(coordinates: FloatArray, turn: Any = turn, name: Path | str = name) -> FloatArray:
-            """Return columns and rows in the reference, (n, 2), of coordinates of a mask."""
+            """Return columns and rows in the reference, (n, 2), of coordinates of a mask (n, 2).
+
+            Raises TermselError where one cannot be converted to the CRS of the reference.
+            """
             x, y = turn.transform(coordinates[:, 0], coordinates[:, 1])
             if not np.isfinite([x, y]).all():
                 raise TermselError("polygons of this mask cannot be converted to the CRS of the "

@@ -36,7 +36,7 @@ def start_by_overview(picture: GreyRaster, reference: Path | str, band: int | No
     """Return an affine start by keypoints of the whole image and the whole reference.
 
     It is rough, and only says where in the reference to look for matches: pairs of keypoints need
-    to agree with it to 12 px of the reduced image.
+    to agree with it to `_TOLERANCE` px of the reduced image.
 
     Parameters
     ----------

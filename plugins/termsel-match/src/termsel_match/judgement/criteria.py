@@ -26,7 +26,10 @@ class Agreement(Criterion):
         Option("half_at", 2.0, "Distance at which a point counts half [px].", float, 0.01, 1e4),)
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the share (0 to 1) of check features that do not agree with each fit."""
+        """Return the share of check features that do not agree with each fit, 0 to 1, (p,).
+
+        It is smooth, by the loss of each, and 1 for an error that is not finite.
+        """
         with np.errstate(over="ignore", invalid="ignore"):
             squares = (np.asarray(fits.check_errors) ** 2).sum(axis=-1)
             # The loss of Geman and McClure: e^2 / (e^2 + t^2).

@@ -131,11 +131,11 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     """Return the model with which most candidates agree.
 
     A quarter of the candidates is set aside as independent, unless some are so already. A
-    steady-state GA selects m of the others so that the model agrees with as many as possible
-    (problem `rpc-gcps`, criterion `agreement`). The model is then fitted to all of them that agree,
-    until they stay the same. Of an RPC, the correction is the plainest that held-out candidates
-    support: a shift, a drift, affine, or smooth along the lines. An affine model has no heights
-    where those of all candidates are on one plane.
+    steady-state GA selects as many of the others as the model has terms, or 6 if it has fewer, so
+    that the model agrees with as many as possible (problem `rpc-gcps`, criterion `agreement`). The
+    model is then fitted to all of them that agree, until they stay the same. Of an RPC, the
+    correction is the plainest that held-out candidates support: a shift, a drift, affine, or smooth
+    along the lines. An affine model has no heights where those of all candidates are on one plane.
 
     Parameters
     ----------

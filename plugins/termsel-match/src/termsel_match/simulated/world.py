@@ -68,8 +68,8 @@ class World:
     Raises
     ------
     TermselError
-        For a size that is not within `SMALLEST_WORLD` and `LARGEST_WORLD`, or a distance that is
-        not 0 to 200.
+        For a size that is not within `SMALLEST_WORLD` and `LARGEST_WORLD`, a distance that is not
+        0 to 200, or a negative seed.
     """
 
     size: int = 1000
@@ -230,7 +230,7 @@ class World:
         return np.asarray(np.clip(np.round(25 + 0.8 * mean + noise), 1, 255), dtype=np.uint8)
 
     def dem(self) -> FloatArray:
-        """Return the heights every 8 m, with an error of 0.3 m rms."""
+        """Return the heights [m] every `SPACING`, with an error of 0.3 m RMS; rows go south."""
         return np.asarray(self.heights[::2, ::2]
                           + self._rng(6).normal(0, 0.3, self.heights[::2, ::2].shape))
 
