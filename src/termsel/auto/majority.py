@@ -195,7 +195,7 @@ def is_outvoted(data: FitData, minority: BoolArray, test: Test) -> bool:
 
 
 def closest_halves(designs: Sequence[FloatArray], image: FloatArray, is_affine: BoolArray,
-                    rng: np.random.Generator) -> list[list[BoolArray]]:
+                   rng: np.random.Generator) -> list[list[BoolArray]]:
     """Return the closest halves, masks (n,), of each design, the least trimmed squares first.
 
     Random samples are of the first design (n, k), whose columns `is_affine` (k,) are affine. The

@@ -94,7 +94,7 @@ def select_forward(columns: FloatArray, target: FloatArray,
     -------
     list of AxisTerms or None
         One for each axis; None if the forced terms alone leave less redundancy than a third of the
-        equations, once a point is left out.
+        equations, once a point is left out, or if they depend on each other without some fold.
     """
     axes, n, k = columns.shape
     max_selected = (2 * (n - 1)) // 3 - int(forced.sum())

@@ -140,8 +140,8 @@ def say_once(noun: str = "image") -> Iterator[None]:
 
     Messages have their kind as the attribute ONCE, such as a doubt about a DEM that all images of a
     batch share. Notes on images are of a kind if they differ in the name of the image alone; others
-    are all shown. Nobody reads the same sentence a hundred times.
-    `noun` is what the images are called, such as sheet.
+    are all shown. Nobody reads the same sentence a hundred times. `noun` is what the images are
+    called, such as sheet.
     """
     heard: dict[str, list[logging.LogRecord]] = {}
 

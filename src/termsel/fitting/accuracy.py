@@ -361,8 +361,8 @@ def predict_rmse_of_all(fitted: Fit, expected: Predicted, ground: FloatArray) ->
 def pixel_on_ground(fitted: Fit) -> float | None:
     """Return how far a pixel is on the ground [m]: root of the mean square at the control.
 
-    Returns None where the CRS does not show metres, or the model has no inverse, or is not
-    plausible.
+    Returns None without control points, and where the CRS does not show metres, or the model has no
+    inverse, or is not plausible: pixels of one image differ too much.
     """
     points = fitted.control.points
     if not len(points):

@@ -417,7 +417,7 @@ class System:
         squares = ((targets - q @ (q.swapaxes(2, 3) @ targets))**2).sum(axis=2)  # (l, r, 2)
         # |S|^1/2, that of the variances of measurements included, and |T' S^-1 T|^1/2.
         determinants = (0.5 * (np.log(variances).sum(axis=2)
-                              + np.log(self.relative_variances).sum())
+                               + np.log(self.relative_variances).sum())
                         + np.log(np.abs(np.diagonal(triangle, axis1=2, axis2=3))).sum(axis=2))
         freedom = len(self.residuals) - f
         return np.asarray(-freedom * np.log(self.noises)

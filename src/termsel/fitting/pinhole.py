@@ -282,7 +282,9 @@ class Measured:
                sigma: float) -> tuple[FloatArray, FloatArray]:
         """Return the design (s, 2 n + p, 9) and residuals (s, 2 n + p), both by their deviations.
 
-        The first 2 n rows are of the n points, the others of the p priors.
+        The first 2 n rows are of the n points, the others of the p priors. `rows` (s, n) are the
+        weights of the points for each camera, 0 for those that do not count, and `sigma` is the
+        standard deviation of a measurement, in the unit of `image`.
         """
         count = len(cameras)
         residuals = self.image - cameras.image(self.ground)

@@ -54,8 +54,9 @@ _EGM96_HEIGHT = 5773  # a code of EPSG
 def metres_of_band(raster: Any, crs: CRS, path: Path) -> float:
     """Return the unit of a raster's heights [m]: that of its band, else of its vertical axis.
 
-    Raises TermselError for a unit that is no length, units that differ, and where x and y are in
-    feet and nothing says whether heights are.
+    It is 1 where neither is stated and x and y are not in feet. Raises TermselError for a unit that
+    is no length, units that differ, and where x and y are in feet and nothing says whether heights
+    are.
     """
     stated = (raster.units[0] or "").strip()
     of_band = unit_of_word(stated) if stated else None
@@ -77,9 +78,8 @@ def metres_of_band(raster: Any, crs: CRS, path: Path) -> float:
     plane_unit = unit_of_size(float(axes[0].unit_conversion_factor)) if crs.is_projected else METRE
     if of_band is None and plane_unit in WORDS and plane_unit != METRE:
         raise TermselError(
-            f"it is not stated whether the heights of this raster are in metres or, like x and "
-            "y, in "
-            f"{WORDS[plane_unit]}", file=path,
+            "it is not stated whether the heights of this raster are in metres or, like x and "
+            f"y, in {WORDS[plane_unit]}", file=path,
             hint="State the unit of its band: gdal_edit.py -units m, or -units us-ft.")
     return UNITS[of_band or METRE]
 
@@ -128,9 +128,9 @@ def _require_database(path: Path) -> None:
 def to_datum_of(crs: str, raster_crs: CRS, path: Path) -> Heights | None:
     """Return a function from heights [m] of a raster's CRS to those of a CRS.
 
-    Returns None if both have the same heights.
-    A CRS that states no vertical datum has ellipsoidal heights. Raises TermselError where PROJ
-    lacks the grid of a geoid.
+    Returns None if both have the same heights, or if `raster_crs` has no axis of heights: they are
+    taken for those of `crs`. With such an axis and no vertical datum, heights are ellipsoidal.
+    Raises TermselError where PROJ lacks the grid of a geoid.
     """
     from pyproj import CRS
 

@@ -482,14 +482,14 @@ def _guard_implementation(
 
 
 def _guard_wrapper(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments,
-                   _accept: Taken,
-                   answers: Answers, givers: _Givers, seconds: float | None) -> Callable[..., Any]:
+                   _accept: Taken, answers: Answers, givers: _Givers,
+                   seconds: float | None) -> Callable[..., Any]:
     """Return a wrapper that never raises; if it fails, the inner answers stand.
 
     pluggy runs a wrapper up to its `yield`, then the others, then the rest of it. Each part is
     attempted by itself, so that an exception, or a wait of more than `seconds`, is noted as a fault
     of the plugin and costs the others nothing. Wrappers of the old kind (`hookwrapper`) get a
-    result object.
+    result object. The parameters are those of `_guard_implementation`.
     """
     @wraps(implementation.function)
     def wrap(*_args: Any, **_keywords: Any) -> Generator[None, Any, Any]:

@@ -38,9 +38,8 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel | Method = "
         points with the role control or none, are control. Points with the role check,
         independent or off are left out.
     model : str, class, SensorModel or Method
-        Name of a model, or of a method that needs no search: affine, dlt, projective,
-        quadratic, cubic, rfm-2, rfm-3, ridge, selected, regularised-quadratic, regularised-cubic,
-        huber, tukey. Of a name that both have, the model is taken.
+        Name of a model, or of a method, which needs no search: affine, quadratic, ridge, huber or
+        another that ``termsel list methods`` shows. Of a name that both have, the model is taken.
     crs, columns : optional
         As for `termsel.read`, where features are read.
     **options

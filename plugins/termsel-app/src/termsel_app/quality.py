@@ -218,7 +218,7 @@ def prediction_errors(result: Result) -> dict[str, float]:
     already. Without a strategy, or if that fit fails, these are the only ones.
     """
     values_by_id = {row.id: row.distance for row in result.residuals
-             if row.kind == "point" and not row.used}
+                    if row.kind == "point" and not row.used}
     if result.strategy is None:
         return values_by_id
     try:

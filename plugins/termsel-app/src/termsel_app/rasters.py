@@ -46,6 +46,10 @@ class Raster:
     """
 
     def __init__(self, path: Path | str, remote: bool = False) -> None:
+        """Open the raster, find how it is shown, and begin an overview if it is large without one.
+
+        Raises TermselError if it cannot be opened or read; it is closed then.
+        """
         self.path = path
         self.name = Path(path).name
         self._stack = ExitStack()

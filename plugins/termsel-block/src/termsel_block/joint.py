@@ -249,7 +249,7 @@ def _block_misfit(adjusted: Adjusted) -> float:
 
 
 def _without_harmful_sensors(result: BlockResult, freed_blocks: dict[str, BlockResult],
-                   progress: Callable[[float], None] | None) -> BlockResult:
+                             progress: Callable[[float], None] | None) -> BlockResult:
     """Return the result without the sensors that make the ground rough or contradict control.
 
     In each round the block is adjusted without each stated sensor, and the one is left out without

@@ -116,7 +116,7 @@ class Radial(SensorModel):
             # at some shares of it.
             for share in _TESTED_SHARES:
                 is_imaged &= 1.0 + sum((p + 1) * kp * (share * s) ** p
-                                    for kp, p in zip(k, RADIAL_POWERS, strict=True)) > 0
+                                       for kp, p in zip(k, RADIAL_POWERS, strict=True)) > 0
         return np.asarray(self._centre + np.where(is_imaged, s, np.nan)[..., None] * offsets)
 
 

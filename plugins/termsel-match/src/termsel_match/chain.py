@@ -167,7 +167,7 @@ def judge(
     if points is not None:
         candidates = read_candidates(points, image, reference, dem=dem, start=start)
         warn_of_idle_masks(matching.get("masks", ()), [image],
-                     [] if reference is None else references_of(reference))
+                           [] if reference is None else references_of(reference))
     else:
         assert reference is not None
         candidates = match_points(image, reference, dem=dem, start=start, progress=progress,
@@ -278,7 +278,7 @@ def _judge_candidates(image: Path | str, reference: Path | str | None, candidate
     """Return what candidates say of the model, and the bounds of the map.
 
     The bounds are least x and y and largest x and y in the CRS of the candidates, or None for a map
-    of all the image, unless `extent` is "reference".
+    of all the image: without a reference, and unless `extent` is "reference".
     """
     result = selected.result
     bounds = None
@@ -292,9 +292,8 @@ def _judge_candidates(image: Path | str, reference: Path | str | None, candidate
                                                      everywhere.shape)).reshape(everywhere.shape)
         else:
             model = Start("the model", candidates.crs, 0.0, result.project, result.locate)
-            overlap, outline, repeats = _ground_shown(references_of(reference), picture, model, dem,
-                                                      masks,
-                                                      candidates.crs)
+            overlap, outline, repeats = _ground_shown(
+                references_of(reference), picture, model, dem, masks, candidates.crs)
             # Chips of ground control may lie between all of these positions. Those nearest to
             # candidates then stand for what the chips show.
             if not overlap.any():

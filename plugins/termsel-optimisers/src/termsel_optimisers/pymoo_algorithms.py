@@ -164,7 +164,7 @@ def from_pymoo(algorithm: Algorithm, *, name: str | None = None) -> type[Solver]
     Raises
     ------
     TermselError
-        For one that refuses constraints, or moves real numbers.
+        For what is no algorithm of pymoo, and one that refuses constraints, or moves real numbers.
 
     Examples
     --------
@@ -200,6 +200,7 @@ def from_pymoo(algorithm: Algorithm, *, name: str | None = None) -> type[Solver]
         segments = SEGMENTS
 
         def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+            """Yield the generations of a copy of the algorithm (see `Solver.generations`)."""
             # The generator itself is as that of `pymoo.optimize.minimize` with the same seed.
             yield from step_algorithm(
                 deepcopy(algorithm), problem, rng, chance=OwnChance(rng.spawn(1)[0]))

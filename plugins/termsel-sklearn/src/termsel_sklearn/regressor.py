@@ -235,7 +235,7 @@ def _merge_points(X: FloatArray, image: FloatArray, weights: FloatArray,
     # Weights of points of one place add up, and their positions are averaged by them.
     total_weights = np.bincount(place_of, weights).astype(np.float64)
     mean_positions = np.column_stack([np.bincount(place_of, weights * coordinate) / total_weights
-                            for coordinate in image.T])
+                                      for coordinate in image.T])
     return X[first[order]], mean_positions, total_weights
 
 

@@ -413,8 +413,9 @@ def _nssda_vertical(vertical: float | None, too_few: str | None) -> Statement:
 def distribution_of(ground_errors: GroundErrors) -> Distribution:
     """Return the number of check points, the number that ASPRS asks for, and their distribution.
 
-    If a position is not known, area, quadrants and distances are None, and the number asked for is
-    that of a small area.
+    The area [km2] is that of the corners of the check area, or of the box of the points. If a
+    position is not known, area, quadrants and distances are None, and the number asked for is that
+    of a small area.
     """
     n = len(ground_errors.ids)
     positions = ground_errors.positions

@@ -104,7 +104,7 @@ def _connect(address: str) -> Client:
     from distributed import Client
 
     no_address = TermselError(f"{address!r} is no address of a scheduler",
-                           hint="Write --scheduler tcp://host:8786.")
+                              hint="Write --scheduler tcp://host:8786.")
     # For an address without a port, a client of dask would wait, then fail in its own words.
     if not _has_port(address):
         raise no_address
@@ -139,7 +139,7 @@ def _has_port(address: str) -> bool:
 
 
 def require_same_versions(required: Mapping[str, str], installed: Mapping[str, str | None],
-                  worker: str) -> None:
+                          worker: str) -> None:
     """Raise TermselError unless a worker has each required package in exactly the required version.
 
     `required` and `installed` are versions by the name of the package, None for one that is not

@@ -41,7 +41,7 @@ def front_figures(groups: Groups) -> list[FrontFigures]:
         fronts = {}
         for method, runs in by_method.items():
             fronts_of_runs = [np.array(record.front, dtype=float) for record in runs.records
-                       if record.front]
+                              if record.front]
             if fronts_of_runs:
                 fronts[method] = fronts_of_runs
         all_fronts = list(chain.from_iterable(fronts.values()))
@@ -52,8 +52,8 @@ def front_figures(groups: Groups) -> list[FrontFigures]:
         for method in fronts:
             runs = by_method[method]
             proven_fronts += [np.array(record.front, dtype=float)
-                      for row, record in zip(runs.rows, runs.records, strict=True)
-                      if row.get("proven") and record.front]
+                              for row, record in zip(runs.rows, runs.records, strict=True)
+                              if row.get("proven") and record.front]
         reference = non_dominated(np.vstack(proven_fronts or all_fronts))
         for method, fronts_of_runs in fronts.items():
             figures = np.array([front_indicators(front, reference) for front in fronts_of_runs])

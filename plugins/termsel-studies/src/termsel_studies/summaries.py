@@ -76,7 +76,7 @@ def _summarise_method(instance: str, method: str, runs: Runs, optimum: float | N
         reached = sum(value <= target for value in runs.values)
         interval = wilson_interval(reached, len(runs.values))
         times_to_target = [effort_to_target(record.trace, target) if value <= target else math.inf
-                for record, value in zip(runs.records, runs.values, strict=True)]
+                           for record, value in zip(runs.records, runs.values, strict=True)]
         expected = expected_running_time(times_to_target,
                                          [evaluations_of_run(record.figures)
                                           for record in runs.records])

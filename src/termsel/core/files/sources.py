@@ -201,7 +201,7 @@ def refused_format_error(path: object, head: bytes, of: object = None) -> Termse
         hint = f"If a GIS shows it, convert it: {hint[len('Convert it: '):]}"
     if of is not None and str(of) != str(path):
         return TermselError(f"it refers to {cut(str(path), 100)!r}: {reason}", file=of, hint=hint,
-                           code=code)
+                            code=code)
     return TermselError(reason, file=path, hint=hint, code=code)
 
 
@@ -420,7 +420,7 @@ class _Chain:
         in it, "" for its only one. GDAL opens overviews, masks and auxiliary XML beside a raster
         without being asked, in an archive as on the disk, and these may name further sources.
 
-        Raises TermselError for an archive that has two files of one name.
+        Raises TermselError for an archive that has two files of one name, and as `require` does.
         """
         members = _list_archive(name, archive)
         if members is None:  # a single file, next to which are those of the disk

@@ -45,9 +45,9 @@ def check_ground(features: FeatureSet, z_unit: str | None = None) -> None:
     """Raise TermselError for ground coordinates that cannot be in the CRS; "local" takes any.
 
     In a geographic CRS these are longitudes outside -180 to 360 or latitudes outside -90 to 90
-    degrees; in a projected CRS coordinates that look like degrees, and eastings or northings that
-    no UTM zone has; in both, heights beyond any ground, in the unit `z_unit` if the user states
-    one; in a geocentric CRS positions far from the surface of the body.
+    degrees; in a projected CRS coordinates that look like degrees, and in one of UTM eastings or
+    northings that no zone has; in both, heights beyond any ground, in the unit `z_unit` if the user
+    states one; in a geocentric CRS positions far from the surface of the body.
     """
     crs = normalise(features.crs)
     kind = kind_of(crs)

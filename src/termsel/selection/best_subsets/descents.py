@@ -73,8 +73,9 @@ def _perturb_subset(systems: ScoreSystems, mask: np.uint64, rng: np.random.Gener
 def _descend_from(systems: ScoreSystems, starts: list[IntArray]) -> tuple[FloatArray, Masks, int]:
     """Return the best subset of every size that single changes reach from some subsets.
 
-    Every change of each best subset of a size is tried, until none helps. Returned are scores and
-    masks, (k + 1,), and the number of nodes that this took.
+    `starts` are subsets, the indices of their columns without the forced ones. Every change of each
+    best subset of a size is tried, until none helps. Returned are scores and masks, (k + 1,), and
+    the number of nodes that this took.
     """
     centres = [int(BITS[np.concatenate([systems.everything.used, start])].sum())
                for start in starts]

@@ -365,7 +365,7 @@ def _residual_spread(images: Sequence[ImageInput], state: BlockUnknowns) -> floa
 
 
 def _refuse_undetermined_images(images: Sequence[ImageInput], waiting: Sequence[int],
-                   located: BoolArray) -> None:
+                                located: BoolArray) -> None:
     """Raise the TermselError that some images of a block cannot be oriented.
 
     It names up to five of the images `waiting`, with the control and the ties that each has.

@@ -563,8 +563,8 @@ def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple
 
 
 def _refuse_remote_ties(first_at: Mapping[tuple[str, int], tuple[Path, int]],
-                positions: Sequence[tuple[float, float]], images: Sequence[str],
-                matches: Sequence[Path]) -> None:
+                        positions: Sequence[tuple[float, float]], images: Sequence[str],
+                        matches: Sequence[Path]) -> None:
     """Raise TermselError for a tie that is farther from its image's others than any image reaches.
 
     `first_at` has file and line of each measurement, by tie and number of its image in `images`;

@@ -233,12 +233,12 @@ def _control_and_ties(result: BlockResult, i: int, image: BlockImage) -> Feature
     names = [f"tie-{ties.names[k]}" for k in ties.tie[in_image]]
     n = len(names)
     tie_points = Points(tuple(names), ties.position[in_image], result.ties[ties.tie[in_image]],
-                    np.full((n, 2), state.sigma_ties), ("control",) * n)
+                        np.full((n, 2), state.sigma_ties), ("control",) * n)
     size = image.size
     if image.features is None:
         return FeatureSet(tie_points, crs=result.block.crs, image_size=size)
     rejected = {name for name, used in zip(result.control[i].feature, state.control_in_use[i],
-                                        strict=True) if not used}
+                                           strict=True) if not used}
     points = image.features.points
     lines = image.features.lines
     roles = tuple("off" if name in rejected else role or "control"

@@ -372,7 +372,7 @@ def _rejected_control(result: BlockResult) -> list[WrongControl]:
             # The error of a feature is the root of the sum of squares of its two rows.
             errors[name] = float(np.hypot(errors.get(name, 0.0), residual[k]))
         wrong_control += [WrongControl(name, result.block.images[i].name, error)
-                  for name, error in errors.items()]
+                          for name, error in errors.items()]
     return sorted(wrong_control, key=lambda wrong: -wrong.error)
 
 

@@ -193,7 +193,7 @@ def _stated_value(features: FeatureSet, name: str) -> str:
 
 
 def _interior_of_focal(stated: Mapping[str, str], named: SurveyCamera | None,
-                  size: tuple[int, int] | None) -> Interior:
+                       size: tuple[int, int] | None) -> Interior:
     """Return an interior with the focal length that is stated in px or mm, and its spread.
 
     Millimetres require the size of a pixel: that which is stated, or that by the type `named` of
@@ -211,7 +211,7 @@ def _interior_of_focal(stated: Mapping[str, str], named: SurveyCamera | None,
 
 
 def _interior_of_type(named: SurveyCamera, stated: Mapping[str, str],
-                    size: tuple[int, int] | None) -> Interior:
+                      size: tuple[int, int] | None) -> Interior:
     """Return the interior of a type of camera; a focal length that is stated comes before its own.
     """
     if "camera_focal" in stated:
@@ -333,7 +333,7 @@ def _is_from_sensor(named: SurveyCamera, size: tuple[int, int]) -> bool:
 
 
 def _with_principal_point(interior: Interior, stated: Mapping[str, str],
-                 size: tuple[int, int] | None) -> Interior:
+                          size: tuple[int, int] | None) -> Interior:
     """Return an interior with the principal point [px] and the scale of its prior.
 
     It is the point that is stated, or that of the interior, or the middle of an image of known

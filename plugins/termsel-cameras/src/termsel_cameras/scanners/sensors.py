@@ -130,7 +130,8 @@ def _check_sensor(content: object, path: Path) -> Sensor:
     """Return the sensor that the JSON of a file describes.
 
     Fields are those of `Sensor`, of which the first six are required. Raises TermselError for a
-    field that is missing, unknown, no positive number or out of the range that satellites have.
+    field that is missing or unknown, for one that is no number, or not positive though it has to
+    be, and for one out of the range that satellites have.
     """
     names = [field.name for field in fields(Sensor)]
     hint = f"Fields are {', '.join(names)}; those after source may be left out."

@@ -309,7 +309,7 @@ def _values_and_variances(sheets: Sequence[Sheet], noise: float,
 
 
 def _expected_value(values: FloatArray, variances: FloatArray,
-                          usual_spread: float) -> tuple[float, float]:
+                    usual_spread: float) -> tuple[float, float]:
     """Return the expected value of another sheet, and its standard deviation.
 
     `values` and `variances` (s,) are those of the sheets. The spread among sheets is averaged over;

@@ -228,7 +228,7 @@ def _start(paper: Paper, plan: FloatArray, measured: FloatArray) -> FloatArray:
 
 
 def _most_probable_values(paper: Paper, plan: FloatArray, measured: FloatArray, values: FloatArray,
-                sigma: float) -> tuple[FloatArray, FloatArray]:
+                          sigma: float) -> tuple[FloatArray, FloatArray]:
     """Return the six values of the least cost, and the normal matrix there (6, 6).
 
     The cost is the sum of (measured - image)^2 / sigma^2 over the points, and of (value - mean)^2 /

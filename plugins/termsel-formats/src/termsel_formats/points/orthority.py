@@ -35,8 +35,7 @@ class OrthorityGeojson(Writer):
         """Write the selected points as GeoJSON, with longitude, latitude and height on WGS84.
 
         Each has its image position, `ji`, its residual and the columns of its file. Logs that it
-        holds no model. Raises
-        TermselError if a height or the CRS is missing.
+        holds no model. Raises TermselError if a height or the CRS is missing.
         """
         if not self.accepts(result):
             raise TermselError(f"this result cannot be written as {self.name}", file=path,

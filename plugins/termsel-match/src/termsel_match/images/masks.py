@@ -171,7 +171,7 @@ def mask_from_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> t
 
 
 def warn_of_idle_masks(masks: Sequence[Path | str], images: Sequence[Path | str],
-                 references: Sequence[Path]) -> None:
+                       references: Sequence[Path]) -> None:
     """Log a warning for each mask file whose polygons touch neither the image nor a reference.
 
     Parameters

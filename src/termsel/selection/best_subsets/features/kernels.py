@@ -452,10 +452,9 @@ def _score_extensions(rows: FeatureRows, state: WalkState, space: EntrySpace,
             g = space.g
             entered = rows.start[p, i + 1] - rows.start[p, i]
         for j in range(first, n):
-            space.totals[j] += _squares_with_feature(rows.start[p, j], rows.start[p, j + 1],
-                                                     entered,
-                                            h=state.h[depth, p], q=state.q[depth, p], e=e, g=g,
-                                            square=square, space=space)
+            space.totals[j] += _squares_with_feature(
+                rows.start[p, j], rows.start[p, j + 1], entered, h=state.h[depth, p],
+                q=state.q[depth, p], e=e, g=g, square=square, space=space)
 
 
 @_compiled
