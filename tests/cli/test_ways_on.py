@@ -99,3 +99,17 @@ def test_lines_and_areas_in_place_of_points_lead_to_points(folder: Path, geometr
         f'"geometry": {{"type": "{geometry}", "coordinates": {coordinates}}}}}]}}')
     message = said("plan", "result", "--candidates", "roads.geojson")
     assert "make points of these in a GIS" in message
+
+
+def test_coordinates_in_seconds_of_arc_are_divided(folder: Path) -> None:
+    rows = ["id,line,sample,x,y", *(f"P{i},{9 * i},{7 * i * i},{3600 * (48.5 + 0.01 * i)},"
+                                    f"{3600 * (34.8 + 0.01 * i * i)}" for i in range(6))]
+    Path("arc.csv").write_text("\n".join(rows) + "\n")
+    message = said("run", "arc.csv", "--crs", "EPSG:4326")
+    assert "If they are seconds of arc, divide by 3600: the first are then 48.5 and 34.8" in message
+
+
+def test_a_model_and_a_method_exclude_each_other(folder: Path) -> None:
+    message = said("run", "gcps.csv", "--model", "poly2d", "--method", "dlt")
+    assert "Leave out --model, or --method." in message
+    said("run", "gcps.csv", "--method", "dlt", code=0)

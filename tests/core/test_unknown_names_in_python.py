@@ -220,6 +220,8 @@ def test_an_argument_of_the_wrong_kind_is_named(call: Callable[[], object], word
 
 
 @pytest.mark.parametrize(("call", "words"), [
+    (lambda: termsel.export("a.RPB", RESULT), "export() lacks path: export(result, to, path)."),
+    (lambda: termsel.get("affine"), "get() lacks name: get(kind, name)."),
     (lambda: termsel.export(RESULT), "export() lacks to and path: export(result, to, path)."),
     (lambda: RESULT.plot("residuals"), "plot is no function"),
     (lambda: RESULT.plot.residuals("a.svg"), "residuals() takes 0 arguments by position, not 1. It "
@@ -383,3 +385,14 @@ def test_the_file_of_a_study_is_to_be_run(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text("")
     with pytest.raises(termsel.TermselError, match=re.escape("study.toml --out DIR runs a study")):
         termsel.read_study(tmp_path / "study.toml")
+
+
+def test_exchanged_arguments_are_told_in_their_order(result: termsel.Result) -> None:
+    with pytest.raises(termsel.TermselError, match="The format comes first"):
+        termsel.export(result, "a.RPB", "rpb")
+    with pytest.raises(termsel.TermselError, match="The result comes before the image"):
+        termsel.rectify("scene.tif", result, "map.tif")
+    with pytest.raises(termsel.TermselError, match=re.escape("result.to_rpc()")):
+        termsel.write_rpc(result, "a.RPB")
+    with pytest.raises(TypeError, match=re.escape("as a table: points.to_pandas()")):
+        _ = result.features.points["P1"]

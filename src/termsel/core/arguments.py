@@ -165,7 +165,7 @@ def _lacking_message(function: str, lacking: Sequence[str], given: Mapping[str, 
     shown = []
     for name in required:
         value = given.get(name)
-        is_file = isinstance(value, str | PathLike)
+        is_file = name == "path" and isinstance(value, str | PathLike)
         shown.append(repr(str(value)) if is_file else _WRITTEN_AS.get(name, name))
     return f"{function}() lacks {' and '.join(lacking)}: {function}({', '.join(shown)})."
 
@@ -240,8 +240,9 @@ class Explained:
         def __getitem__(self, key: object) -> object:
             """Raise TypeError with what is meant by a name in brackets, or that there are none."""
             cls = type(self)
-            meant = cls.elsewhere.get(key, "") if isinstance(key, str) else ""
-            if isinstance(key, str) and not meant and hasattr(cls, key):
+            rows = cls.elsewhere.get("[]", "")
+            meant = cls.elsewhere.get(key, rows) if isinstance(key, str) else rows
+            if isinstance(key, str) and meant == rows and hasattr(cls, key):
                 meant = f"Write .{key} in its place."
             raise TypeError(f"{cls.__name__} has no [{key!r}]. {meant}".rstrip())
 

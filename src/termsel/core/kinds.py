@@ -172,6 +172,7 @@ MADE_BY = {
     "an array of numbers": "Give a row of numbers for each place, such as [[1.0, 2.0, 3.0]].",
     "a termsel.Points": "termsel.read(FILE).points makes one, of a table as well as of a file.",
     "a termsel.FeatureSet": "termsel.read(FILE) makes one, of a table as well as of a file.",
+    "a termsel.Rpc": "termsel.read_rpc(FILE) makes one, and result.to_rpc().",
     "a termsel.Problem": "termsel.prepare('poly-terms', features=FEATURES).problem is one.",
     "a termsel.Result": "termsel.run(features=FEATURES) or termsel.read_result(DIR) makes one.",
     "a termsel.Fit": "termsel.fit(FEATURES) makes one, and the fit of a result is one."}
@@ -194,6 +195,8 @@ def remedy_for(name: str, value: object, kind: Kind) -> str:
     if name in _COLUMNS and isinstance(value, str | PathLike):
         return (f"Read the file first: {name}=pandas.read_csv({str(value)!r}, "
                 f"comment='#')[{_COLUMNS[name]}].")
+    if name == "image" and type(value).__name__ == "Result":
+        return "The result comes before the image."
     return MADE_BY.get(kind.words, "")
 
 

@@ -45,7 +45,9 @@ _OF_POINTS: Mapping[str, str] = {
     "line": "It is points.image[:, 0].", "sample": "It is points.image[:, 1].",
     "row": "It is points.image[:, 0].", "column": "It is points.image[:, 1].",
     "xy": "They are points.ground[:, :2].", "xyz": "They are points.ground.",
-    "names": "They are points.ids."}
+    "names": "They are points.ids.",
+    "[]": "Each row is of points.ids, points.image and points.ground; as a table: "
+          "points.to_pandas()."}
 """Where the coordinates of points are, by what they are called elsewhere."""
 
 

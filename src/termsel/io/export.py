@@ -121,6 +121,10 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     require_result(result, "export")
     path = Path(path)
     result = as_exported(result, final)
+    if registry().known("writers", to) is None and registry().known("writers", str(path)):
+        raise TermselError(f"{to!r} is no format to write",
+                           hint=f"The format comes first: termsel.export(result, {str(path)!r}, "
+                                f"{to!r}).")
     writer = writer_of(to, **options)
     ignored = sorted(options.keys() & _options_of_other_formats(type(writer)))
     if "image" in ignored and options["image"] and Path(options["image"]).is_file():

@@ -663,6 +663,9 @@ def task_of_method(request: Request, auto: Auto) -> Task:
 
 def require_alone(method: object, words: list[str]) -> None:
     """Raise TermselError for a method beside parts or options of a search, given in words."""
+    if method is not None and words and words[0] == "model":
+        raise TermselError("a method brings its own model, so that both exclude each other",
+                           hint=f"Leave out {Remedy('model')}, or {Remedy('method')}.")
     if method is not None and words:
         raise TermselError(f"a method is fitted without a search, and {words[0]} is for a search",
                            hint=f"To fit the method leave out {words[0]}. To search leave out the "

@@ -203,7 +203,11 @@ def _hint_of_degrees(xy: FloatArray, features: FeatureSet) -> str:
     # No angle is beyond a full turn, and few projected coordinates are within it.
     are_metres = (np.abs(xy) > 360).any(axis=1)
     if are_metres.mean() > 0.5:
-        return "These look like metres: state the projected CRS with --crs."
+        seconds = xy / 3600.0
+        x, y = seconds[0]
+        of_arc = (f" If they are seconds of arc, divide by 3600: the first are then {x:.6g} and "
+                  f"{y:.6g}." if (np.abs(seconds) <= (180, 90)).all() else "")
+        return f"These look like metres: state the projected CRS with --crs.{of_arc}"
     hint = "x must be longitude and y latitude, in degrees."
     in_metres = len(np.unique(features.vertex_feature[are_metres]))
     if in_metres > 1:
