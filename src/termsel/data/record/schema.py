@@ -55,7 +55,9 @@ def _field_descriptions(kind: type[RecordPart]) -> dict[str, str]:
             by_key |= _field_descriptions(base)
     # The docstring of a field is the expression that follows it in the body of the class.
     for field, doc in zip(body.body, body.body[1:], strict=False):
-        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
+        # Constants of the class are no fields.
+        if (isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+                and field.target.id in keys):
             assert isinstance(doc, ast.Expr)
             assert isinstance(doc.value, ast.Constant)
             text = inspect.cleandoc(str(doc.value.value))
