@@ -59,7 +59,7 @@ def part(study: termsel.Study) -> str:
     heading = f"## {study.spec.title}, {count_in_words(len(study.spec.seeds), 'seed')}\n"
     claims = "\n".join(f"- {sentence}" for sentence in said)
     return "\n".join([heading,
-                      *(table_as_markdown(one, 3) for one in tables if one.title != "Pairs"),
+                      *(table_as_markdown(one, 3) for one in tables if one.caption != "Pairs"),
                       f"### What may be claimed\n\n{claims}\n"])
 
 
