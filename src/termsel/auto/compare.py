@@ -110,8 +110,8 @@ def compare(observations: Observations, auto: Auto, choice: Choice | None = None
         if method in ROBUST or (
                 name not in fits and auto.ask(method, "declines", data) is not None):
             continue
-        # A method with a prior that is not tried on so many points has no errors to be shown.
-        if method.has_prior and len(data) > method.max_features:
+        # A method that is not tried on so many points has no errors to be shown.
+        if name not in fits and len(data) > method.max_features:
             continue
         model = auto.ask(method, "model", data.heights)
         # RFM are what the literature compares with: they are shown though the choice refused them.

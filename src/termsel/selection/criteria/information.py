@@ -29,9 +29,9 @@ class Ebic(Criterion):
     that are forced on are no choice, and those forced off are not offered. Plain BIC lacks the last
     part: the more selections of a size there are, the better one of them fits by chance. Terms of
     line and sample that are switched together are one choice and one system with a common variance.
-    Above P / 2 terms ln C(P, j) is that of P / 2: the number of selections falls again there, and
-    is 1 of all terms, which would make the largest selection of few terms the cheapest. The paper
-    asks of at most so many terms that it grows.
+    Above P / 2 terms ln C(P, j) is that of P / 2: the number of selections falls again there, down
+    to the single one of all terms, which would make the largest selection of few terms the
+    cheapest. The paper asks of at most so many terms that it grows.
 
     The criterion is valid for n much larger than k. As k nears n, ln(RSS / n) falls without
     bound, and a meaningless term lowers n ln(RSS / n) by about n / (n - k) instead of 1.
