@@ -303,7 +303,7 @@ def test_rays_that_miss_have_no_place() -> None:
     ("LINE_OFF: 12,5\n", "line 1: LINE_OFF is '12,5', which is not a number. Write a decimal"),
     (rpc_txt_text(_simple())[:900], "the RPC lacks LINE_DEN_COEFF_"),
     (rpc_txt_text(_simple()).replace("HEIGHT_SCALE: 100.0", "HEIGHT_SCALE: 0"),
-     "a scale of the RPC is 0"),
+     "the scale of height of the RPC is 0"),
     (rpc_txt_text(_simple()).replace("SAMP_OFF: 200.0", "SAMP_OFF: nan"), "is not finite"),
     (rpc_txt_text(_simple()).replace("SAMP_OFF: 200.0", "SAMP_OFF:"), "lacks SAMP_OFF"),
     (rpb_text(_simple())[:150], "the RPC lacks"),
