@@ -103,6 +103,28 @@ def test_wrong_parameters_are_value_errors(given: dict[str, object], said: str) 
         SensorModelRegressor(**given).fit(X[:30], y[:30])
 
 
+def test_named_columns_are_not_taken_in_another_order() -> None:
+    pandas = pytest.importorskip("pandas")
+    X, y = _scene()
+    ground = pandas.DataFrame(X, columns=["x", "y", "z"])
+    image = pandas.DataFrame(y, columns=["line", "sample"])
+    fitted = SensorModelRegressor(degree=1).fit(ground, image)
+    assert fitted.score(ground, image) > 0.99
+    # Other names say nothing, and one image coordinate has no order.
+    SensorModelRegressor(degree=1).fit(ground.set_axis(["a", "x", "b"], axis=1), image[["sample"]])
+    for wrong, of_image in ((ground[["z", "y", "x"]], image), (ground[["y", "x"]], image),
+                            (ground[["x", "z"]], image), (ground, image[["sample", "line"]])):
+        with pytest.raises(ValueError, match=r"expected \['(x|line)', .* Give TABLE\["):
+            SensorModelRegressor(degree=1).fit(wrong, of_image)
+
+
+@pytest.mark.parametrize("model", ["polynomial", "poly3d"])
+def test_options_that_are_no_dict_are_told(model: str) -> None:
+    X, y = _scene()
+    with pytest.raises(ValueError, match="options is 'degree=2', expected a dict"):
+        SensorModelRegressor(model=model, options="degree=2").fit(X, y)
+
+
 def _ebic(X: np.ndarray, y: np.ndarray, columns: tuple[int, ...]) -> float:
     from math import comb
 

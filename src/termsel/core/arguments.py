@@ -211,6 +211,12 @@ _ALSO_CALLED = {
 """Names of termsel by what other programs, or its own commands, call them."""
 
 
+CALLED_PROJECT = ("predict", "transform", "to_image", "to_pixel", "to_pixels", "ground_to_image",
+                  "world_to_pixel", "rowcol", "index")
+CALLED_LOCATE = ("inverse", "to_ground", "to_world", "image_to_ground", "pixel_to_world", "xy")
+"""What other programs call `project` and `locate`, from the ground to the image and back."""
+
+
 class Explained:
     """Base of objects whose attributes, where one is missing, are explained.
 
@@ -266,6 +272,7 @@ def lacks_said(remedy: str) -> Callable[[type[C]], type[C]]:
                 raise TypeError(f"{cls.__name__}() lacks {' and '.join(lacking)}. {remedy}")
             make(self, *args, **kwargs)
 
+        # A checker of types takes a class for what it was made as.
         cls.__init__ = __init__  # type: ignore[method-assign]
         return cls
 

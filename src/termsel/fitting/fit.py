@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from termsel.adjustment.equations import has_unlike_weights, line_normals, weights_of
 from termsel.adjustment.interpolation import Interpolation
 from termsel.adjustment.solve import ROUNDING, Adjustment
-from termsel.core.arguments import explains_arguments
+from termsel.core.arguments import CALLED_LOCATE, CALLED_PROJECT, explains_arguments
 from termsel.core.display import Glance
 from termsel.core.errors import TermselError, shown_value
 from termsel.core.threads import one_blas_thread
@@ -275,13 +275,8 @@ class Fit(Glance):
     """
 
     elsewhere: ClassVar[Mapping[str, str]] = {
-        "predict": "Image positions are fit.project(ground).",
-        "transform": "Image positions are fit.project(ground).",
-        "inverse": "Ground positions are fit.locate(image, heights).",
-        **dict.fromkeys(("to_image", "to_pixel", "to_pixels", "ground_to_image", "world_to_pixel",
-                         "rowcol", "index"), "Image positions are fit.project(ground)."),
-        **dict.fromkeys(("to_ground", "to_world", "image_to_ground", "pixel_to_world", "xy"),
-                        "Ground positions are fit.locate(image, heights)."),
+        **dict.fromkeys(CALLED_PROJECT, "Image positions are fit.project(ground)."),
+        **dict.fromkeys(CALLED_LOCATE, "Ground positions are fit.locate(image, heights)."),
         "score": "The RMSE of points is fit.rmse(points).",
         "coef_": "They are fit.coefficients.", "intercept_": "It is in fit.coefficients.",
         "crs": "It is fit.control.crs.",

@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import UNSET, convert, field, structs
 from numpy.typing import ArrayLike
 
-from termsel.core.arguments import explains_arguments
+from termsel.core.arguments import CALLED_LOCATE, CALLED_PROJECT, explains_arguments
 from termsel.core.display import Glance
 from termsel.core.errors import TermselError, count_in_words
 from termsel.core.files.atomic import write_text
@@ -143,13 +143,8 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
 
     # None of these is written; a struct wants names of its own for all that could be.
     elsewhere: ClassVar[Mapping[str, str]] = {
-        "predict": "Image positions are result.project(ground).",
-        "transform": "Image positions are result.project(ground).",
-        "inverse": "Ground positions are result.locate(image, height).",
-        **dict.fromkeys(("to_image", "to_pixel", "to_pixels", "ground_to_image", "world_to_pixel",
-                         "rowcol", "index"), "Image positions are result.project(ground)."),
-        **dict.fromkeys(("to_ground", "to_world", "image_to_ground", "pixel_to_world", "xy"),
-                        "Ground positions are result.locate(image, height)."),
+        **dict.fromkeys(CALLED_PROJECT, "Image positions are result.project(ground)."),
+        **dict.fromkeys(CALLED_LOCATE, "Ground positions are result.locate(image, height)."),
         "score": "RMSE by roles are result.rmse, the accuracy at check points result.accuracy.",
         "coef_": "They are result.coefficients.", "intercept_": "It is in result.coefficients.",
         "params": "They are result.coefficients.",

@@ -75,6 +75,17 @@ class WithOptions(BaseEstimator):  # type: ignore[misc]
         """
         return termsel.get(f"{self.extension}s", getattr(self, self.extension))
 
+    def _given_options(self) -> dict[str, Any]:
+        """Return the options that are given, by name.
+
+        Raises TermselError for what is no dict of them.
+        """
+        options = self.options or {}
+        if not isinstance(options, dict):
+            raise TermselError(f"options is {options!r:.60}, expected a dict",
+                               hint="Such as options={'degree': 2}.")
+        return options
+
     def _make_extension(self, **further: Any) -> Any:
         """Return an instance of the model or solver, made with `further` and then `options`.
 
@@ -82,7 +93,7 @@ class WithOptions(BaseEstimator):  # type: ignore[misc]
         it, or if the class refuses the options.
         """
         extension = self._given_extension()
-        options = {**further, **(self.options or {})}
+        options = {**further, **self._given_options()}
         if isinstance(extension, type):
             return extension(**options)
         if options:

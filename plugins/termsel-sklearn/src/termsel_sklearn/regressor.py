@@ -114,8 +114,11 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         Raises
         ------
         ValueError
-            If the points do not determine the model, or a parameter is not known.
+            If the points do not determine the model, if a parameter is not known, or if columns of
+            tables are called x, y, z or line, sample in another order.
         """
+        _require_order("X", X, ("x", "y", "z"))
+        _require_order("y", y, ("line", "sample"))
         X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64,
                              ensure_min_samples=2, ensure_min_features=2)
         image = np.asarray(y, dtype=np.float64).reshape(len(X), -1)
@@ -193,7 +196,7 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         """
         degree = {} if self.degree is None else {"degree": self.degree}
         if isinstance(self.model, str) and self.model == "polynomial":
-            options = {**degree, **(self.options or {})}
+            options = {**degree, **self._given_options()}
             return Polynomial3D(**options), Polynomial2D(**options)
         model: SensorModel = self._make_extension(**degree)
         return model, model
@@ -242,3 +245,16 @@ def _merge_points(X: FloatArray, image: FloatArray, weights: FloatArray,
 def _ground_with_heights(X: FloatArray) -> FloatArray:
     """Return ground coordinates with a third column, which is not known where X has two."""
     return X if X.shape[1] == 3 else np.column_stack([X, np.full(len(X), np.nan)])
+
+
+def _require_order(argument: str, table: Any, expected: tuple[str, ...]) -> None:
+    """Raise ValueError for a table whose columns have the expected names in another order.
+
+    Columns are taken by their places, so that names would be no help but mislead. Two columns or
+    more of these names alone count; others may be called anything.
+    """
+    names = [str(name).strip().casefold() for name in getattr(table, "columns", ())]
+    if len(names) > 1 and set(names) <= set(expected) and names != list(expected[:len(names)]):
+        in_order = list(expected[:len(names)])
+        raise ValueError(f"the columns of {argument} are {names}, expected {in_order}: they are "
+                         f"taken by their places. Give TABLE[{in_order}].")
