@@ -396,3 +396,12 @@ def test_exchanged_arguments_are_told_in_their_order(result: termsel.Result) -> 
         termsel.write_rpc(result, "a.RPB")
     with pytest.raises(TypeError, match=re.escape("as a table: points.to_pandas()")):
         _ = result.features.points["P1"]
+
+
+def test_a_format_is_not_led_to_options_that_no_writer_has() -> None:
+    """A method and a solver have names of formats nearly; `export` takes neither."""
+    for name in ("rpc", "ridge", "affine"):
+        with pytest.raises(termsel.TermselError) as caught:
+            termsel.get("writers", name)
+        assert "method" not in str(caught.value)
+        assert "solver" not in str(caught.value)

@@ -218,9 +218,10 @@ class Registry:
             return "auto is a strategy: ask for --strategy auto, the default of rfm-terms."
         if missing := self.missing(name):
             return missing
-        # A camera may be sought among the models, and is a method.
+        # A camera may be sought among the models, and is a method. What writes a file takes no such
+        # options.
         others = [kind for kind, _ in self.find(name) if kind in _OPTIONS_OF_KINDS]
-        if kinds and others:
+        if kinds and others and "writers" not in kinds:
             return f"{name} is a {KINDS[others[0]].word}: {_OPTIONS_OF_KINDS[others[0]]} {name}."
         if kinds == ("writers",) and "tif" in name.lower():
             return "A rectified image is written by termsel rectify."
