@@ -50,6 +50,7 @@ def drawn_map(projection: str, count: int, *, lon: float = 10.0, lat: float = 46
             every.take(np.arange(count, count + NEW)))
 
 
+@pytest.mark.slow
 def test_longitudes_in_gons_are_those_of_degrees() -> None:
     """As features made in Python may have them; files are converted as they are read."""
     in_degrees, new = drawn_map(CONIC, 12, crs="EPSG:4275")

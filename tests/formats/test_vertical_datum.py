@@ -317,7 +317,7 @@ def test_rectify_says_by_how_much_a_map_is_off(tmp_path: Path, image: Path,
     assert "the control" not in caplog.text
 
 
-@pytest.mark.slow_cases("0.3-sigma")
+@pytest.mark.slow_cases("0.3-sigma", "-48.6-sigma")
 @pytest.mark.parametrize("verb", ["project", "gcp-grid-vrt", "sigma"])
 @pytest.mark.parametrize("above", [-48.6, 0.3])
 def test_whatever_takes_a_dem_holds_it_against_the_control(

@@ -122,6 +122,7 @@ def test_auto_takes_the_camera_and_says_how_good_it_is(angle: int, relief: int, 
     assert 0.3 < np.median(predicted) / np.median(true) < 4.0
 
 
+@pytest.mark.slow_cases("30")
 @pytest.mark.parametrize("count", [21, 30])
 def test_a_camera_asked_for_by_name_is_fitted_to_any_number_of_points(count: int) -> None:
     """Auto tries it for up to 20 points, which is no reason to refuse who asks for it."""

@@ -22,6 +22,7 @@ RUNS = {
 }
 
 
+@pytest.mark.slow_cases("lines", "exact", "rpc")
 @pytest.mark.parametrize("asked", RUNS.values(), ids=RUNS)
 def test_no_left_out_word_is_shown(
         asked: tuple[str, ...], example_files: Path, tmp_path: Path,

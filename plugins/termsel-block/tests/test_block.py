@@ -277,6 +277,7 @@ def test_an_rpc_of_another_place_is_named(vendors: Simulated) -> None:
         adjust(replace(vendors.block, images=tuple(images)))
 
 
+@pytest.mark.slow
 def test_one_wrong_tie_does_not_doubt_two_rpcs() -> None:
     block = simulate_block(21, n_ties=48, rpcs=True, control=(4, 4), seed=3, independent=2).block
     ties, wrong = block.ties, len(block.ties.names)
@@ -417,6 +418,7 @@ def test_a_folder_that_is_taken_is_refused(example: Example) -> None:
     assert "there is a block in this folder already" in done.output
 
 
+@pytest.mark.slow
 def test_a_block_in_plane_coordinates() -> None:
     """Aerial views without a CRS: two affine images and their ties."""
     rng = np.random.default_rng(0)

@@ -190,6 +190,7 @@ def test_independent_heights_contradict_a_dem_that_control_follows(
     assert ("Independent check points contradict what is predicted (A " in screen) == (off != 0.0)
 
 
+@pytest.mark.slow
 def test_a_dem_in_feet_is_left_out_where_ties_contradict_it(tmp_path: Path) -> None:
     """Ties are tens of pixels off under it, and may not be blamed for that."""
     block = simulate_block(3, rpcs=True, control=(), n_ties=60, seed=1, independent=5).block

@@ -68,6 +68,7 @@ def test_a_wrong_ray_at_the_start_does_not_bend_all_images() -> None:
     assert chi_square(simulated, result) < 3.0  # 26
 
 
+@pytest.mark.slow
 def test_a_good_tie_that_began_far_off_is_not_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     def start_far_off(*given: Any) -> BlockUnknowns:
         state = start(*given)

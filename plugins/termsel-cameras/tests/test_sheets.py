@@ -247,6 +247,7 @@ def test_a_series_says_which_projections_it_does_not_tell_apart(tmp_path: Path) 
     assert "whether it is this one or another: polyconic. If the map" in done.stdout
 
 
+@pytest.mark.slow
 def test_sheets_borrow_nothing_in_projections_that_they_contradict(
         tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     files = [table(series_sheet(POLYCONIC, number, 2, 1.5), tmp_path / f"{number}.csv")

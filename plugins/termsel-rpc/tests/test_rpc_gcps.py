@@ -45,6 +45,7 @@ def kinds(ids: tuple[str, ...]) -> list[str]:
     return [of[name] for name in ids]
 
 
+@pytest.mark.slow
 def test_runs_by_its_name_and_drops_the_blunders(run_by_name: Path) -> None:
     record = json.loads((run_by_name / "result.json").read_text())
     assert (record["model"], record["solver"]) == ("rpc-drift", "ga-steady")
@@ -83,6 +84,7 @@ def test_refined_rpc_serves_gdal(run_by_name: Path, tmp_path: Path, call: Call) 
                                atol=1e-4)
 
 
+@pytest.mark.slow
 def test_chosen_points_cover_the_area_asked_for(run_by_name: Path) -> None:
     result = read_result(run_by_name)
     control = result.fit.control.points

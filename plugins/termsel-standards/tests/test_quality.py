@@ -132,6 +132,7 @@ def test_without_independent_points_the_report_says_so(
         assert root.find(".//qhorizpa") is None
 
 
+@pytest.mark.slow
 def test_few_independent_points_are_beside_the_prediction() -> None:
     """Twenty are the least of which a standard has a statement."""
     for count, is_stated in ((3, True), (25, False)):

@@ -444,6 +444,7 @@ def test_without_independent_points_the_prediction_is_stated_and_called_one(
     assert "not stated: the result has no independent points" in done.stderr
 
 
+@pytest.mark.slow_cases("24-False")
 @pytest.mark.parametrize(("independent", "is_stated"), [(3, True), (24, False)])
 def test_few_check_points_leave_the_prediction_to_sign(
         independent: int, is_stated: bool, tmp_path: Path) -> None:
