@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 pytest.importorskip("termsel_bench", reason="termsel-bench is not installed: "
@@ -124,11 +125,13 @@ def test_written_files_are_those_of_the_metadata_and_are_read(tmp_path: Path) ->
     run("--files", tmp_path, "--sets", "vendor-rpc-2")
     said = json.loads((tmp_path / "croissant.json").read_text())
     assert {one["name"] for one in said["distribution"]} == {
-        "vendor-rpc-2.csv", "vendor-rpc-2_RPC.TXT"}
+        "vendor-rpc-2.csv", "vendor-rpc-2.prj", "vendor-rpc-2_RPC.TXT"}
     for one in said["distribution"]:
         assert hashlib.sha256((tmp_path / one["name"]).read_bytes()).hexdigest() == one["sha256"]
-    points = termsel.read(tmp_path / "vendor-rpc-2.csv").points
+    features = termsel.read(tmp_path / "vendor-rpc-2.csv")
+    points = features.points
     one = simulated_set("vendor-rpc-2")
+    assert features.crs == one.features.crs
     np.testing.assert_array_equal(points.image[:4], one.features.points.image)
     np.testing.assert_array_equal(points.ground[4:], one.independent.ground)
     assert one.features.rpc is not None
@@ -137,11 +140,30 @@ def test_written_files_are_those_of_the_metadata_and_are_read(tmp_path: Path) ->
                                one.features.rpc.project(points.ground), atol=1e-6)
 
 
+@pytest.mark.parametrize("name", ["old-map-1", "lines-1"])
+def test_tables_are_read_by_their_description_alone(tmp_path: Path, name: str) -> None:
+    # Readers of Croissant take the first line of a file for the names of its columns.
+    run("--files", tmp_path, "--sets", name)
+    said = json.loads((tmp_path / "croissant.json").read_text())
+    files = {one["@id"]: tmp_path / one["contentUrl"] for one in said["distribution"]}
+    tables = set()
+    for records in said["recordSet"]:
+        sources = [field["source"] for field in records["field"]]
+        (file,) = {source["fileObject"]["@id"] for source in sources}
+        table = pd.read_csv(files[file])
+        assert list(table) == [source["extract"]["column"] for source in sources]
+        numbers = [field["name"] for field in records["field"] if field["dataType"] == "sc:Float"]
+        assert all(pd.api.types.is_numeric_dtype(table[number]) for number in numbers)
+        assert simulated_set(name).features.crs in records["description"]
+        tables.add(file)
+    assert tables == {file for file in files if file.endswith(".csv")}
+
+
 def test_metadata_name_each_file_once() -> None:
     names = list(catalogue.frozen_checksums())
-    assert len(names) == len(set(names)) == 40 + 4 + 4  # points, lines and RPCs
+    assert len(names) == len(set(names)) == 40 + 4 + 4 + 44  # points, lines, RPCs and CRSs
     means = json.loads(Path(catalogue.__file__).parents[1].joinpath(catalogue.MEANS).read_text())
-    assert list(means) == names
+    assert list(means) == [name for name in names if not name.endswith(".prj")]
 
 
 def test_a_score_is_the_rmse_of_independent_points(package: str) -> None:

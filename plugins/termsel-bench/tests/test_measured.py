@@ -127,6 +127,10 @@ def test_files_of_the_suite_have_licences_folds_and_a_description(tmp_path: Path
     assert {f"{source.folder}/LICENSE" for source in SOURCES} <= names
     assert "folds.json" in names
     assert len(described["recordSet"]) == 3
+    formats = {file["@id"]: file["encodingFormat"] for file in described["distribution"]}
+    for records in described["recordSet"]:
+        for field in records["field"]:
+            assert formats[field["source"]["fileObject"]["@id"]] == "text/csv"
 
 
 def test_another_file_and_an_unknown_set_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -242,7 +242,7 @@ def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None
     make_folder(folder)
     refuse_links(folder)
     for bench_set in sets:
-        for file, text in bench_set.files().items():
+        for file, text in (bench_set.files() | bench_set.crs_files()).items():
             write_text(folder / file, text)
     write_text(folder / METADATA, json_text(croissant_description(sets)) + "\n")
     say_written([folder / METADATA])

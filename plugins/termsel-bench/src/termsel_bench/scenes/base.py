@@ -22,6 +22,9 @@ PIXELS, METRES, DEGREES = 3, 3, 9
 COEFFICIENTS = 9
 """Decimals of coefficients of RPCs: what least squares leave differs by less between machines."""
 
+LINE_COLUMNS = ("id", "line1", "sample1", "line2", "sample2", "x1", "y1", "z1", "x2", "y2", "z2")
+"""Columns of a table of lines: two ends in the image, and two on the ground."""
+
 _ROUNDED_OF_RPC = ("image_offset", "image_scale", "ground_offset", "ground_scale", "line_numerator",
                    "line_denominator", "sample_numerator", "sample_denominator")
 
@@ -51,10 +54,12 @@ class BenchSet:
     def files(self) -> dict[str, str]:
         """Return the texts of the set's files by their names.
 
-        They are a table of points, and a table of lines and an RPC if the set has them.
+        They are a table of points, and a table of lines and an RPC if the set has them. Tables
+        begin with the names of their columns, as the readers of Croissant expect; `crs_files` has
+        what says their CRS.
         """
         texts = {f"{self.name}.csv": _encode_text(
-            self.features.crs, "id,role,line,sample,x,y,z",
+            "id,role,line,sample,x,y,z",
             [*_scene_rows(self.features.points, self),
              *_scene_rows(self.independent, self, "independent")])}
         lines = self.features.lines
@@ -63,11 +68,15 @@ class BenchSet:
             for name, image, ground in zip(lines.ids, lines.image, lines.ground, strict=True):
                 vertices = chain.from_iterable(_place(vertex, self) for vertex in ground)
                 rows.append((name, *_format_numbers(image.ravel(), PIXELS), *vertices))
-            texts[f"{self.name}-lines.csv"] = _encode_text(
-                self.features.crs, "id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2", rows)
+            texts[f"{self.name}-lines.csv"] = _encode_text(",".join(LINE_COLUMNS), rows)
         if self.features.rpc is not None:
             texts[f"{self.name}_RPC.TXT"] = rpc_txt_text(self.features.rpc)
         return texts
+
+    def crs_files(self) -> dict[str, str]:
+        """Return the text of the .prj file next to each table, by its name: the CRS."""
+        return {file.removesuffix(".csv") + ".prj": f"{self.features.crs}\n"
+                for file in self.files() if file.endswith(".csv")}
 
     def checksums(self) -> dict[str, str]:
         """Return the SHA-256 of each file by its name."""
@@ -85,11 +94,11 @@ def means_of(text: str) -> tuple[list[float], list[float]]:
 
     The file of an RPC has one mean, of all its numbers; blank heights count as 0.
     """
-    # Files of points and lines begin with a comment, that of an RPC does not.
-    if not text.startswith("#"):
+    # Tables of points and lines begin with a column of names, the text of an RPC does not.
+    if not text.startswith("id,"):
         return [float(np.mean([float(row.split()[1]) for row in text.splitlines()]))], [1e-5]
-    # The first line states the CRS, the second names the columns; numbers begin with the line.
-    header, *rows = [row.split(",") for row in text.splitlines()[1:]]
+    # The first line names the columns; numbers begin with the line.
+    header, *rows = [row.split(",") for row in text.splitlines()]
     first = [name.startswith("line") for name in header].index(True)
     cells = np.array([row[first:] for row in rows])
     values = np.where(cells == "", "0", cells).astype(float)
@@ -130,9 +139,9 @@ def _rounded_rpc(rpc: Rpc) -> Rpc:
     return replace(rpc, **fields)
 
 
-def _encode_text(crs: str, header: str, rows: list[tuple[str, ...]]) -> str:
-    """Return the lines of a CSV: a comment with the CRS, the header, and the rows."""
-    return "\n".join([f"# crs: {crs}", header, *(",".join(row) for row in rows)]) + "\n"
+def _encode_text(header: str, rows: list[tuple[str, ...]]) -> str:
+    """Return the lines of a CSV: the header and the rows."""
+    return "\n".join([header, *(",".join(row) for row in rows)]) + "\n"
 
 
 def _scene_rows(points: Points, bench_set: BenchSet, role: str = "") -> Iterator[tuple[str, ...]]:

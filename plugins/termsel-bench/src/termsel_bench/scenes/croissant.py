@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import termsel_bench
 from termsel.toolkit import write_text
-from termsel_bench.scenes.base import INDEPENDENT, BenchSet, means_of
+from termsel_bench.scenes.base import INDEPENDENT, LINE_COLUMNS, BenchSet, means_of
 from termsel_bench.scenes.catalogue import MEANS, METADATA, SETS, simulate_set
 from termsel_bench.scenes.measured import FOLDS, read_measured_set
 
@@ -57,9 +57,12 @@ def croissant_description(sets: Iterable[BenchSet]) -> dict[str, Any]:
     described_sets = list(sets)
     files: list[dict[str, Any]] = []
     for bench_set in described_sets:
+        checksums = bench_set.checksums() | {
+            file: hashlib.sha256(text.encode()).hexdigest()
+            for file, text in bench_set.crs_files().items()}
         files += [{"@type": "cr:FileObject", "@id": file, "name": file, "contentUrl": file,
-                   "encodingFormat": "text/plain" if file.endswith(".TXT") else "text/csv",
-                   "sha256": checksum} for file, checksum in bench_set.checksums().items()]
+                   "encodingFormat": "text/csv" if file.endswith(".csv") else "text/plain",
+                   "sha256": checksum} for file, checksum in checksums.items()]
     return {
         "@context": CONTEXT, "@type": "sc:Dataset", "conformsTo":
         "http://mlcommons.org/croissant/1.0", "name": "termsel-bench", "version": VERSION,
@@ -72,7 +75,8 @@ def croissant_description(sets: Iterable[BenchSet]) -> dict[str, Any]:
         "rai:dataCollection": "Simulated from seeds; `termsel bench --files DIR` writes the files.",
         "rai:dataLimitations": "No set has measurements of the real world.",
         "distribution": files,
-        "recordSet": [_record_set_of_points(bench_set) for bench_set in described_sets]}
+        "recordSet": [record_set for bench_set in described_sets
+                      for record_set in _record_sets(bench_set)]}
 
 
 MEASURED_COLUMNS = {name: POINT_COLUMNS[name] for name in POINT_COLUMNS if name != "role"}
@@ -87,6 +91,8 @@ def croissant_of_measured(names: Sequence[str], files: Mapping[str, str]) -> dic
     """
     sets = [read_measured_set(name) for name in names]
     folds = json.loads(files[FOLDS])
+    # Files keep the names under which they were published; one of the tables is a .txt.
+    tables = {fold["file"] for fold in folds.values()}
     record_sets = []
     # Croissant describes a set as records, whose fields are the columns of a file.
     for entry in sets:
@@ -116,20 +122,33 @@ def croissant_of_measured(names: Sequence[str], files: Mapping[str, str]) -> dic
         "rai:dataLimitations": "Points have blunders, and nobody knows the truth.",
         "distribution": [
             {"@type": "cr:FileObject", "@id": file, "name": file, "contentUrl": file,
-             "encodingFormat": "text/csv" if file.endswith(".csv") else "text/plain",
+             "encodingFormat": "text/csv" if file in tables or file.endswith(".csv")
+             else "text/plain",
              "sha256": hashlib.sha256(text.encode()).hexdigest()} for file, text in files.items()],
         "recordSet": record_sets}
 
 
-def _record_set_of_points(bench_set: BenchSet) -> dict[str, Any]:
-    """Return the JSON-LD record set that describes a set's points, with a field for each column."""
-    name = bench_set.name
+def _record_sets(bench_set: BenchSet) -> Iterator[dict[str, Any]]:
+    """Yield the JSON-LD record sets of a set's points and, where it has some, of its lines."""
+    name, crs = bench_set.name, bench_set.features.crs
+    yield _record_set(f"{name}/points", f"{name}.csv", POINT_COLUMNS,
+                      f"Points of the set {name} of the kind {bench_set.kind}, in {crs}.")
+    if len(bench_set.features.lines):
+        columns = {column: POINT_COLUMNS[column.rstrip("12")] for column in LINE_COLUMNS}
+        columns["id"] = ("sc:Text", "name of the line")
+        yield _record_set(f"{name}/lines", f"{name}-lines.csv", columns,
+                          f"Straight lines of the set {name}, each by two points of it in the "
+                          f"image and two on the ground, which need not be the same, in {crs}.")
+
+
+def _record_set(name: str, file: str, columns: Mapping[str, tuple[str, str]],
+                description: str) -> dict[str, Any]:
+    """Return the JSON-LD record set of a table; `columns` has the type and meaning of each."""
     fields = [{"@type": "cr:Field", "@id": f"{name}/{column}", "name": column,
                "description": meaning, "dataType": kind,
-               "source": {"fileObject": {"@id": f"{name}.csv"}, "extract": {"column": column}}}
-              for column, (kind, meaning) in POINT_COLUMNS.items()]
-    return {"@type": "cr:RecordSet", "@id": f"{name}/points", "name": f"{name}/points",
-            "description": f"Points of the set {name} of the kind {bench_set.kind}.",
+               "source": {"fileObject": {"@id": file}, "extract": {"column": column}}}
+              for column, (kind, meaning) in columns.items()]
+    return {"@type": "cr:RecordSet", "@id": name, "name": name, "description": description,
             "field": fields}
 
 
