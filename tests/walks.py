@@ -6,8 +6,8 @@ numba or a library is none; comprehensions and lambdas belong to the function ar
 ``--names`` lists them. Figures are those of a warm process: what a first call imports and compiles
 is not on the way. Of the option those functions count that get its value, or what holds it.
 
-On 30 November 2026: from a CSV to the summary 901 functions in 122 modules, an option to its use 60
-functions and two objects, a plugin's model to its fit 76, a chromosome to its fitness 30. Of the
+On 1 December 2026: from a CSV to the summary 909 functions in 122 modules, an option to its use 60
+functions and two objects, a plugin's model to its fit 73, a chromosome to its fitness 30. Of the
 first, features, tables and coordinates have 190, their files 68, the choice among methods and its
 blunders 162, fits, models and their accuracy 165, adjustment and priors 101, the run 89, the text
 56.

@@ -167,11 +167,12 @@ def make_scaling(features: FeatureSet) -> Scaling:
     ground = to_fit_crs(features.ground_vertices(), *crs_pair)
     image = features.image_vertices()
     turn = turn_of(features.fit_crs or features.crs)
-    start = _start_of_turn(features, turn)
-    if turn:
-        x = (unwrap_longitudes(ground[:, 0], turn) if start is None else
-             within_turn(ground[:, 0], start, turn))
-        ground = np.column_stack([x, ground[:, 1:]])
+    start = None
+    if turn and features.x_start is not None:
+        start = _start_of_turn(features, features.x_start, turn)
+        ground = np.column_stack([within_turn(ground[:, 0], start, turn), ground[:, 1:]])
+    elif turn:
+        ground = np.column_stack([unwrap_longitudes(ground[:, 0], turn), ground[:, 1:]])
     finite = np.where(np.isnan(ground), np.nanmin(ground[:, :2]), ground)
     has_blank_height = bool(np.isnan(ground[:, 2]).any())
     # One blank height makes all 0: no model of these features uses heights.
@@ -193,18 +194,16 @@ def make_scaling(features: FeatureSet) -> Scaling:
                    image_scale if image_scale > 0 else 1.0, *crs_pair, turn, start)
 
 
-def _start_of_turn(features: FeatureSet, turn: float) -> float | None:
+def _start_of_turn(features: FeatureSet, x_start: float, turn: float) -> float:
     """Return the X, in the CRS of the fit, at which a map of more than half of the world begins.
 
-    `turn` is what a full turn adds to X there. Returns None for maps of less, and where X does not
-    repeat.
+    `x_start` is the X in the CRS of the features, and `turn` what a full turn adds to X in that of
+    the fit.
     """
-    if features.x_start is None or not turn:
-        return None
     if not features.fit_crs:
-        return features.x_start
+        return x_start
     # The middle of the map is the same place in both; X is proportional to the longitude.
-    middle = np.array([[features.x_start + turn_of(features.crs) / 2, 0.0, 0.0]])
+    middle = np.array([[x_start + turn_of(features.crs) / 2, 0.0, 0.0]])
     return float(to_fit_crs(middle, features.crs, features.fit_crs)[0, 0]) - turn / 2
 
 

@@ -876,7 +876,8 @@ def _refuse_idle(options: Mapping[str, Any], reader_of: Mapping[Path, Reader]) -
                 f"{' and '.join(names)} {'have' if len(names) > 1 else 'has'} no option {key!r}",
                 file=" and ".join(map(str, reader_of)),
                 hint="Remove it, or choose another format with --format.")
-    _refuse_idle_columns(str(options.get("columns", "")), reader_of)
+    if columns := str(options.get("columns", "")):
+        _refuse_idle_columns(columns, reader_of)
 
 
 def _refuse_idle_columns(columns: str, reader_of: Mapping[Path, Reader]) -> None:

@@ -84,10 +84,13 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel | Method = "
     if isinstance(resolved, SensorModel):
         _refuse(options, f"model {resolved.name!r}, which has its options already,")
     else:
-        _refuse_unknown(options, resolved)
+        if options:
+            _refuse_unknown(options, resolved)
         resolved = resolved(**options)
-    control = control_of(_with_heights(features) if resolved.uses_height else features)
-    require_heights(resolved, control)
+    control = control_of(features)
+    if resolved.uses_height and features.without_height():
+        control = control_of(_with_heights(features))
+        require_heights(resolved, control)
     return fit_all_terms(resolved, control)
 
 

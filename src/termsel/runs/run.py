@@ -156,7 +156,8 @@ def run(
     >>> round(result.rmse["independent"].total, 1) > 0
     True
     """
-    _refuse_features_as_problem(problem)
+    if problem is not None:
+        _refuse_features_as_problem(problem)
     # What is wrong with an argument is said before the data are read, and before hours of work.
     seed = whole_seed(seed)
     limits = {"generations": generations, "evaluations": evaluations, "seconds": seconds,
@@ -164,48 +165,19 @@ def run(
     require_limits(**limits)
     features, source = find_features(features, source, crs, columns, rpc)
     arguments: dict[str, Any] = {
-        "dataset": dataset, "source": source, "model": model, "solver": solver,
-        "criterion": criterion, "options": options}
+        "features": features, "dataset": dataset, "source": source, "model": model,
+        "solver": solver, "criterion": criterion, "options": options}
     # A limit asks for a search, as a solver does: the choice among methods has none.
     is_limited = any(limit is not None for limit in limits.values())
     notebook = notebook_observer(
         problem.recipe.name if isinstance(problem, Task) else str(problem or "auto"))
     # Those of the user come first, then the notebook, then those of plugins.
     observers = (*observers, *filter(None, [notebook]), *registry().observers())
-    sole_method: Auto | TaskMethod | None = None
-    if isinstance(problem, Task):
-        _refuse_next_to_task({"features": features, **arguments})
-        task = problem
-    else:
-        # What is asked for of a method, in words: the automatic choice would decide it itself.
-        named = problem_for(features, dataset) if problem is None else problem
-        words = [*method_words(model, solver, criterion, options), *["a budget"] * is_limited]
-        if method is not None and strategy is not None:
-            words.append("a strategy")
-        recipe = registry().resolve("problems", named)
-        words += ["a checkpoint"] if checkpoint is not None else []
-        if method is not None or uses_auto(strategy, recipe, words, unnamed=problem is None):
-            require_alone(method, words)
-            of_data = {"features": features, "dataset": dataset, "source": source,
-                       "options": options}
-            # A search judges by selection points; any other method takes them as control.
-            if isinstance(method, TaskMethod):
-                sole_method = method
-                task = task_of(request_of(named, **of_data))
-            else:
-                # The choice among all methods, or among one.
-                sole_method = auto_of(method, memory)
-                task = task_of_method(request_of_method(named, **of_data), sole_method)
-        elif (problem is None and strategy is None and recipe.for_methods
-              and is_model_alone(words, model, options)):
-            request = request_of_method(named, features=features, dataset=dataset, source=source,
-                                        options=options, model=model)
-            sole_method = auto_of(method_of_model(request), memory)
-            task = task_of_method(request, sole_method)
-        else:
-            task = task_of(request_of(named, features=features, **arguments))
-            _warn_of_search(task, words, is_in_place_of_auto=strategy is None and problem is None)
-        _warn_of_check_alone(task)
+    beside = ["a budget"] if is_limited else []
+    if checkpoint is not None:
+        beside.append("a checkpoint")
+    task, sole_method = _task_and_method(problem, arguments, strategy=strategy, method=method,
+                                         memory=memory, beside=beside)
     # The limits of a problem are those of its paper, where the user gives none.
     if not is_limited:
         limits |= {"generations": task.recipe.generations, "patience": task.recipe.patience}
@@ -232,6 +204,63 @@ def run(
         return assess(searching, task, memory=memory)
 
     return _run_and_write(result_of_run, out, overwrite, _seconds_of_compilation(task, sole_method))
+
+
+def _task_and_method(
+        problem: str | Recipe | Task | None, arguments: dict[str, Any], *, strategy: str | None,
+        method: str | Method | Callable[[FeatureSet], Any] | None, memory: Memory | None,
+        beside: list[str]) -> tuple[Task, Auto | TaskMethod | None]:
+    """Return the task of a run, and the method that is fitted to it; None where it is searched.
+
+    A prepared task is searched as it is. Without one the method is the one asked for, else the
+    automatic choice where nothing asks for a search, else the fit of a model that is named alone.
+
+    Parameters
+    ----------
+    problem, strategy, method, memory
+        As for `run`.
+    arguments : dict
+        Those of `request_of`, by name.
+    beside : list of str
+        What else asks for a search, in words, such as "a budget".
+
+    Raises
+    ------
+    TermselError
+        As `prepare`; for arguments beside a prepared task, and parts of a search beside a method.
+    """
+    if isinstance(problem, Task):
+        _refuse_next_to_task(arguments)
+        return problem, None
+    features, model, options = (arguments[name] for name in ("features", "model", "options"))
+    recipe_or_name = problem_for(features, arguments["dataset"]) if problem is None else problem
+    # What asks for a search, in words: the automatic choice would decide it itself.
+    words = [*method_words(model, arguments["solver"], arguments["criterion"], options), *beside]
+    of_data = {name: arguments[name] for name in ("features", "dataset", "source", "options")}
+    recipe = registry().resolve("problems", recipe_or_name)
+    sole_method: Auto | TaskMethod | None = None
+    if method is not None or uses_auto(strategy, recipe, words, unnamed=problem is None):
+        if method is not None:
+            require_alone(words if strategy is None else [*words, "a strategy"])
+        # A search judges by selection points; any other method takes them as control.
+        if isinstance(method, TaskMethod):
+            sole_method = method
+            task = task_of(request_of(recipe_or_name, **of_data))
+        else:
+            # The choice among all methods, or among one.
+            sole_method = auto_of(method, memory)
+            task = task_of_method(request_of_method(recipe_or_name, **of_data), sole_method)
+    elif (problem is None and strategy is None and recipe.for_methods
+          and is_model_alone(words, model, options)):
+        request = request_of_method(recipe_or_name, **of_data, model=model)
+        sole_method = auto_of(method_of_model(request), memory)
+        task = task_of_method(request, sole_method)
+    else:
+        task = task_of(request_of(recipe_or_name, **arguments))
+        _warn_of_search(task, words, is_in_place_of_auto=strategy is None and problem is None)
+    if task.request.options["data"]["role"]:
+        _warn_of_check_alone(task)
+    return task, sole_method
 
 
 def _refuse_features_as_problem(problem: object) -> None:

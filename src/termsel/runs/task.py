@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -661,12 +661,15 @@ def task_of_method(request: Request, auto: Auto) -> Task:
     return Task(request, observations, note_on_projection=note)
 
 
-def require_alone(method: object, words: list[str]) -> None:
-    """Raise TermselError for a method beside parts or options of a search, given in words."""
-    if method is not None and words and words[0] == "model":
+def require_alone(words: Sequence[str]) -> None:
+    """Raise TermselError if parts or options of a search are given beside a method, in words.
+
+    The message is about the first of them, such as "model" or "a budget".
+    """
+    if words and words[0] == "model":
         raise TermselError("a method brings its own model, so that both exclude each other",
                            hint=f"Leave out {Remedy('model')}, or {Remedy('method')}.")
-    if method is not None and words:
+    if words:
         raise TermselError(f"a method is fitted without a search, and {words[0]} is for a search",
                            hint=f"To fit the method leave out {words[0]}. To search leave out the "
                                 "method.")

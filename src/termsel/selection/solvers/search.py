@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -237,42 +237,20 @@ def search(
     # What the solver gets is the ledger: it counts, looks up what is known, and ends the search.
     ledger = Ledger(problem, evaluations=solver_evaluations, deadline=budget.deadline,
                     solver=solver, stage=stage)
-    convergence = Patience(patience, tolerance)
-    generation: Generation | None = None
+    told = Observers(observers)
+    running = _Running(solver, ledger, budget, Patience(patience, tolerance), told)
     refined = None
     interrupted = False
-    told = Observers(observers)
-    idle = 0
-    notes: tuple[str, ...] = ()
-    history: list[HistoryRow] = []
     rng = np.random.default_rng(seed)
-
-    def tell(activity: str) -> None:
-        reached = generation or Generation(0, np.zeros((1, problem.genome.size), dtype=bool), NONE)
-        told.tell(ledger.progress(reached, budget.share(reached, ledger), activity))
-
-    running = warn_of_silence(solver.generations(ledger, rng), solver, ledger, tell)
+    yielded = solver.generations(ledger, rng)
     try:
-        # Closing lets a solver that is not run to its end free what it holds.
-        with closing(_until_spent(running)) as yielded:
-            for generation in yielded:
-                # Without evaluations a budget of these would never be spent.
-                idle = 0 if not history or ledger.count > history[-1].evaluations else idle + 1
-                progress = ledger.progress(generation, budget.share(generation, ledger))
-                history.append(ledger.tally(generation))
-                if (told.tell(progress) or budget.spent(generation, ledger)
-                        or convergence.lost(ledger)):
-                    break
-                if idle >= IDLE and not solver.ends_by_itself:
-                    notes = (f"The search ended after {IDLE:,} generations in which solver "
-                             f"{solver.name!r} evaluated nothing.",)
-                    break
+        running.follow(yielded)
         # The refinement has what is left of the whole budget of time.
         if polish and ledger.best_genes is not None and not told.ended:
             ledger.deadline = None if seconds is None else start + seconds
             _write_checkpoint(ledger)
             ledger.stage = refinement_stage
-            refined = refine(ledger, rng, generation, evaluations, told)
+            refined = refine(ledger, rng, running.generation, evaluations, told)
     except KeyboardInterrupt:  # what is known by now is the result
         if ledger.best_genes is None:
             raise
@@ -281,9 +259,10 @@ def search(
     finally:
         _write_checkpoint(ledger)
     if ledger.best_genes is None:
-        raise _error_without_evaluation(solver, generation)
+        raise _error_without_evaluation(solver, running.generation)
     if told.ended:
-        notes = (*notes, "An observer ended the search.")
+        running.notes.append("An observer ended the search.")
+    generation = running.generation
     details = generation.details if generation else {}
     # With several objectives the front is made of all that was evaluated, whatever the solver says.
     front = ledger.front() if len(problem.objectives) > 1 else details.get("front", ())
@@ -291,11 +270,59 @@ def search(
         genes=ledger.best_genes, objectives=ledger.best_objectives, violation=ledger.best[0],
         seed=seed, evaluations=ledger.count, lookups=ledger.lookups,
         generations=generation.index if generation else 0, seconds=time.perf_counter() - start,
-        interrupted=interrupted, ended_by_observer=told.ended, polish=refined, notes=notes,
-        history=tuple(history), gains=tuple(ledger.gains), front=tuple(front),
-        certificate=details.get("certificate"), proof=details.get("proof"),
+        interrupted=interrupted, ended_by_observer=told.ended, polish=refined,
+        notes=tuple(running.notes), history=tuple(running.history), gains=tuple(ledger.gains),
+        front=tuple(front), certificate=details.get("certificate"), proof=details.get("proof"),
         certificate_content=details.get("certificate_content"),
         coefficients=details.get("coefficients"))
+
+
+@dataclass
+class _Running:
+    """A solver at work, until its budget, its convergence or an observer ends it.
+
+    `generation` is the last one that it yielded, `history` has a row for each, and `notes` say why
+    it was ended early. They hold what is known so far where Ctrl-C interrupts it.
+    """
+
+    solver: Solver
+    ledger: Ledger
+    budget: Budget
+    convergence: Patience
+    observers: Observers
+    generation: Generation | None = None
+    history: list[HistoryRow] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def follow(self, generations: Iterator[Generation]) -> None:
+        """Take the solver's generations, tell the observers of each, and end in time."""
+        idle = 0
+        watched = warn_of_silence(generations, self.solver, self.ledger, self._tell_activity)
+        # Closing lets a solver that is not run to its end free what it holds.
+        with closing(_until_spent(watched)) as yielded:
+            for generation in yielded:
+                self.generation = generation
+                # Without evaluations a budget of these would never be spent.
+                has_evaluated = (not self.history
+                                 or self.ledger.count > self.history[-1].evaluations)
+                idle = 0 if has_evaluated else idle + 1
+                share = self.budget.share(generation, self.ledger)
+                progress = self.ledger.progress(generation, share)
+                self.history.append(self.ledger.tally(generation))
+                if (self.observers.tell(progress) or self.budget.spent(generation, self.ledger)
+                        or self.convergence.lost(self.ledger)):
+                    return
+                if idle >= IDLE and not self.solver.ends_by_itself:
+                    self.notes.append(f"The search ended after {IDLE:,} generations in which "
+                                      f"solver {self.solver.name!r} evaluated nothing.")
+                    return
+
+    def _tell_activity(self, activity: str) -> None:
+        """Tell the observers what the solver does while it yields nothing."""
+        genome = self.ledger.genome
+        reached = self.generation or Generation(0, np.zeros((1, genome.size), dtype=bool), NONE)
+        share = self.budget.share(reached, self.ledger)
+        self.observers.tell(self.ledger.progress(reached, share, activity))
 
 
 def _write_checkpoint(ledger: Ledger) -> None:
