@@ -311,3 +311,39 @@ def test_bits_and_a_subset_have_the_same_neighbours(seed: int, n: int, m: int) -
               for batch in neighbour_batches(subset.chosen(genes)[0], bits)
               for one in batch]
     assert around == [tuple(one) for batch in neighbour_batches(genes[0], subset) for one in batch]
+
+
+@pytest.mark.parametrize("fault", [
+    lambda ones: 0.3 * ones, lambda ones: np.nan * ones, lambda ones: 2 * ones, lambda ones: -ones,
+    lambda ones: ones[:, 1:], lambda ones: ones[0], lambda _: [[1, 0], [1]],
+    lambda ones: ones.astype(str)])
+def test_what_are_no_bits_is_not_evaluated(fault: Callable[[np.ndarray], object]) -> None:
+    # As bool, 0.3, NaN and -1 would all be on: every selection would be the same.
+    problem = termsel.prepare("poly-terms", options={"degree": 2}).problem
+    ones = np.ones((2, problem.genome.size))
+
+    with pytest.raises(TermselError, match="the problem got genes"):
+        problem.evaluate(fault(ones))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("recipe", ["poly-degree", "rpc-gcps"])
+def test_what_is_out_of_range_is_not_evaluated(recipe: str) -> None:
+    # A point that is named twice would count once, and leave fewer than were asked for.
+    problem = termsel.prepare(recipe).problem
+
+    for genes in (np.full((2, problem.genome.size), 99), np.full((1, problem.genome.size), 1.5),
+                  np.full((1, problem.genome.size), -1)):
+        with pytest.raises(TermselError, match="the problem got genes"):
+            problem.evaluate(genes)
+
+
+def test_zeros_and_ones_of_any_type_are_bits() -> None:
+    problem = termsel.prepare("poly-terms", options={"degree": 2}).problem
+    genes = problem.genome.random(np.random.default_rng(1), 5)
+    expected = problem.evaluate(genes).objectives
+
+    for given_genes in (genes.astype(int), genes.astype(float), genes.tolist()):
+        np.testing.assert_array_equal(problem.evaluate(given_genes).objectives, expected)
+    assert problem.decode(genes[0].astype(int)) == problem.decode(genes[0])
+    with pytest.raises(TermselError, match="the problem got genes"):
+        problem.decode(0.3 * np.ones(problem.genome.size))

@@ -435,3 +435,21 @@ def test_a_loop_that_does_nothing_is_named(monkeypatch: pytest.MonkeyPatch) -> N
     found = search(problems.problem_of_twelve_terms(), from_deap(own_box, stuck)(population=10),
                    observers=[observe])
     assert (found.evaluations, found.interrupted) == (10, True)
+
+
+def test_reals_for_bits_are_on_above_one_half() -> None:
+    # Algorithms of reals, as pymoo's PSO, DE and CMA-ES, or GA with its own sampling; as bool,
+    # every number but 0 would be on, and all individuals would be the same.
+    problem = small().problem
+    reals = np.random.default_rng(1).uniform(size=(30, problem.genome.size))
+    expected = problem.evaluate(reals > 0.5)
+
+    F, G = termsel.to_pymoo(problem).evaluate(reals)
+    box = to_deap(problem)
+    costs = [box.evaluate(row)[0] for row in reals.tolist()]
+
+    assert len(np.unique(F)) > 10
+    np.testing.assert_array_equal(F, expected.objectives)
+    np.testing.assert_array_equal(G[:, 0], expected.violation)
+    feasible = expected.violation == 0
+    np.testing.assert_allclose(np.array(costs)[feasible], expected.objectives[feasible, 0])

@@ -114,7 +114,11 @@ class _ProblemTools:
         if not individuals:
             return []
         genome = self.problem.genome
-        proposed = np.array(individuals, dtype=genome.dtype)
+        proposed: NDArray[Any] = np.array(individuals)
+        if genome.dtype == np.bool_ and proposed.dtype != np.bool_:
+            # Of the reals that operators of one's own give, all but 0 would be on as bool.
+            proposed = proposed.astype(float) > 0.5
+        proposed = proposed.astype(genome.dtype)
         genes = genome.repair(proposed, np.random.default_rng(0))
         # Genes that had to be repaired are repaired again, each with a generator that depends on
         # them alone, so that the outcome is the same in every process and order.

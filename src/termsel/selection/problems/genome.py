@@ -189,6 +189,36 @@ class Genome:
         _keep_count(mask, segment, self.free[labels], rng)
         return segment.members(mask)
 
+    def population(self, genes: object) -> Genes:
+        """Return genes that somebody gives, (n, size), in the dtype of the genome.
+
+        Parameters
+        ----------
+        genes : object
+            Array or rows of valid genes of any type of number, such as 0 and 1 for bits.
+
+        Raises
+        ------
+        TermselError
+            For all else: a number that is none of these, taken as a bool, would be on.
+        """
+        fault = self.fault(genes)
+        if fault is None:
+            return np.asarray(genes)
+        try:
+            given = np.asarray(genes)
+            with np.errstate(invalid="ignore"):  # NaN and infinite numbers differ, as they should
+                population = given.astype(self.dtype)
+        except (TypeError, ValueError):  # rows of several lengths, text, objects
+            given = population = np.empty(0)
+        if np.array_equal(population, given):
+            fault = self.fault(population)
+            if fault is None:
+                return population
+        raise TermselError(f"the problem got {fault}",
+                           hint="Give one row for each selection; problem.genome.repair makes "
+                                "valid genes of any finite numbers.")
+
     def fault(self, genes: object) -> str | None:
         """Return how genes are at fault, and what was expected; None if they are not.
 

@@ -82,7 +82,10 @@ class ParameterProblem(Problem):
 
         Each individual is evaluated as `SelectionProblem.evaluate` does with the model that its
         parameters give; without selection of terms, it has all terms of that model.
+
+        Raises TermselError for what are no genes.
         """
+        genes = self.genome.population(genes)
         objectives = np.empty((len(genes), len(self.objectives)))
         violation = np.empty(len(genes))
         # A model, and its problem, for each set of parameters in the population.
@@ -98,7 +101,11 @@ class ParameterProblem(Problem):
         return Evaluation(objectives, violation)
 
     def decode(self, genes: Genes) -> Selection:
-        """Return the terms in use and the values of the parameters."""
+        """Return the terms in use and the values of the parameters.
+
+        Raises TermselError for what are no genes.
+        """
+        genes = self.genome.population(np.atleast_2d(genes))[0]
         problem = self._selection_at(genes[self._n_terms:])
         selection = problem.decode(self._genes_of_terms(genes[None], problem))
         return replace(selection, parameters=self._values_by_name(genes[self._n_terms:]))

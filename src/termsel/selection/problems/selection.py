@@ -220,8 +220,10 @@ class SelectionProblem(Problem):
         - how far the uncovered share of the image is above the option "max_uncovered".
 
         It is 1 where all of these are 0 and the criterion has no figure.
+
+        Raises TermselError for what are no genes, such as fractions for bits.
         """
-        return self._evaluate(genes)
+        return self._evaluate(self.genome.population(genes))
 
     def evaluate_near(self, genes: Genes, near: Genes) -> Evaluation:
         """Return the evaluation of neighbours (see `Problem.evaluate_near`)."""
@@ -352,8 +354,11 @@ class SelectionProblem(Problem):
         return terms, labels_on[:, self._n_term_genes:] if self._selects_features else None
 
     def decode(self, genes: Genes) -> Selection:
-        """Return the names of the terms and features in use."""
-        terms, features = self.masks(np.atleast_2d(genes))
+        """Return the names of the terms and features in use.
+
+        Raises TermselError for what are no genes.
+        """
+        terms, features = self.masks(self.genome.population(np.atleast_2d(genes)))
         ids = self.inputs.control.ids
         return Selection(select(self.inputs.model.terms, terms[0]),
                          ids if features is None else select(ids, features[0]))

@@ -49,10 +49,18 @@ class Variables:
             self.named[name] = _pymoo_variable(kind, lowest, highest)
 
     def genes(self, X: Any) -> Genes:
-        """Return the genes (p, size) of variables; they may not be valid."""
+        """Return the genes (p, size) of variables; they may not be valid.
+
+        Numbers above one half are bits that are on, as many of pymoo's algorithms have reals.
+        """
         if len(X) and isinstance(X[0], dict):
             X = [list(map(variables.__getitem__, self.named)) for variables in X]
-        return np.asarray(X, dtype=bool if self.genome.dtype == np.bool_ else float)
+        values: Genes = np.asarray(X)
+        is_bits = self.genome.dtype == np.bool_
+        if is_bits and values.dtype == np.bool_:
+            return values
+        numbers = values.astype(float)
+        return np.asarray(numbers > 0.5) if is_bits else numbers
 
     def like(self, X: Any, genes: Genes) -> Any:
         """Return genes in the form of variables."""
@@ -155,7 +163,8 @@ def to_pymoo(problem: Problem, *, elementwise_runner: Callable[..., Any] | None 
     It evaluates a whole population at once (``elementwise=False``). The objectives are F. The
     violation is the constraint G, at most 0 where feasible; forced genes that are not kept and
     counts of genes that are out of range add to it. Variables are of the type bool where all genes
-    are bits; others are numbers, rounded where they are evaluated to what their genes allow.
+    are bits; others are numbers, rounded where they are evaluated to what their genes allow. So are
+    the reals that an algorithm has for bits: those above one half are on.
     `MixedVariableGA` of pymoo gets each by its type, as ``segment.number``.
 
     Parameters
