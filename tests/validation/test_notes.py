@@ -20,7 +20,7 @@ from termsel.models.polynomial import Affine, Polynomial2D
 from termsel.models.quotient import RationalFunctions
 from termsel.runs import choosing as auto
 from termsel.runs import verdict
-from termsel.runs.judgement import notes_on
+from termsel.runs.judgement import notes_on_search
 from termsel.selection.criteria import CheckRmse, Criterion, Press
 from termsel.selection.solvers.search import SearchResult
 
@@ -88,7 +88,7 @@ def found(value: float = 1.0, **more: object) -> SearchResult:
 
 def notes(observations: Observations, search: SearchResult | None = None,
           chosen: Fit | None = None, criterion: Criterion | None = None) -> list[str]:
-    return list(notes_on(observations, criterion or CheckRmse(), search or found(),
+    return list(notes_on_search(observations, criterion or CheckRmse(), search or found(),
                          chosen or fitted(observations)))
 
 

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 # What a result is made of: data and versions, for the record.
 
-def data_of(request: Request, observations: Observations) -> DataRecord:
+def data_record_of(request: Request, observations: Observations) -> DataRecord:
     """Return the record of the features of a request, as read and in their roles."""
     features = request.features
     control = observations.control
@@ -237,7 +237,7 @@ def result_of(request: Request, finding: Finding) -> Result:
         judgement = finding.judgement(rmse, baselines)
     record = Record(
         schema=RESULT_SCHEMA, problem=request.recipe.name, model=fitted.model.name,
-        data=data_of(request, observations), selection=finding.selection.record(),
+        data=data_record_of(request, observations), selection=finding.selection.record(),
         rmse=rmse_record(rmse), baselines=tuple(row.row() for row in baselines),
         judgement=judgement, outliers=outliers, blunder_test=finding.verdict.test,
         accuracy=accuracy_of(fitted, observations.independent),

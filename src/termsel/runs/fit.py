@@ -48,6 +48,7 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel | Method = "
     Returns
     -------
     Fit
+        The model with its coefficients: it projects, locates, and knows its errors.
 
     Raises
     ------
@@ -63,8 +64,8 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel | Method = "
     >>> fitted.adjustment.redundancy  # of 24 points and 120 lines
     280
     >>> independent = scene.points.take([role == "independent" for role in scene.points.roles])
-    >>> fitted.rmse(independent).total < 10
-    True
+    >>> round(fitted.rmse(independent).total, 1)  # px
+    2.7
     """
     features = features_of(features, crs, columns)
     resolved: Any = model

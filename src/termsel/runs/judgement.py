@@ -292,13 +292,13 @@ def _comparison_sentence(start: str, rmse: float, reference: float, title: str, 
     return f"{start} {times_in_words(1 / ratio)} worse than {title} {figures}"
 
 
-def notes_on(observations: Observations, criterion: Criterion, search: SearchResult,
+def notes_on_search(observations: Observations, criterion: Criterion, search: SearchResult,
              fitted: Fit) -> Iterator[str]:
     """Yield further notes for the reader of a result, if there are any.
 
-    They are on the data that the search used, on its equations, on how far the selection is fitted
-    to the selection points, and on figures that look alike and are not. Nothing is yielded where
-    all is as usual.
+    `fitted` is the fit of what `search` selected. Notes are on the data that the search used, on
+    its equations, on how far the selection is fitted to the selection points, and on figures that
+    look alike and are not. Nothing is yielded where all is as usual.
     """
     yield from search.notes
     if len(observations.control.lines) and not len(observations.control.points):

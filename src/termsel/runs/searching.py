@@ -33,9 +33,9 @@ from termsel.results.result import Result, checksum_of_certificate
 from termsel.results.same_fit import fit_of_selection, has_pole
 from termsel.runs.data_notes import notes_on_data, notes_on_dem
 from termsel.runs.exported_rpc import doubt_of_rpc, rpc_of_model
-from termsel.runs.finding import Finding, data_of, notes_on_sessions, plugins_of, result_of
+from termsel.runs.finding import Finding, data_record_of, notes_on_sessions, plugins_of, result_of
 from termsel.runs.fit_crs import note_on_pole
-from termsel.runs.judgement import judge, name_conventional, notes_on
+from termsel.runs.judgement import judge, name_conventional, notes_on_search
 from termsel.runs.request import Request, problem_for
 from termsel.runs.task import Task, prepare
 from termsel.runs.task_method import TaskMethod
@@ -70,8 +70,9 @@ class Search(TaskMethod):
     --------
     >>> import termsel
     >>> task = termsel.prepare("poly-terms", solver="exact", options={"degree": 2})
-    >>> termsel.assess(termsel.Search(), task).certificate.optimal
-    True
+    >>> certificate = termsel.assess(termsel.Search(), task).certificate
+    >>> certificate.optimal, certificate.subsets  # proven, by so many selections
+    (True, 128)
     """
 
     problem: str | Recipe | None
@@ -263,7 +264,7 @@ def finding_of(task: Task, search: SearchResult, auto: Auto,
                             task.request.blank, observations.control),
              *filter(None, [note_on_pole(observations.features, observations.control)]),
              *verdict.notes, *contradicting.notes,
-             *notes_on(agreeing, task.criterion, search, fitted),
+             *notes_on_search(agreeing, task.criterion, search, fitted),
              *_notes_on_replaced_options(task.model, selection), *notes_on_sessions(plugins))
     then = task.then
     # The objectives of least squares are not those of other coefficients.
@@ -304,7 +305,7 @@ def _files_of_search(
     if search.certificate_content is None:
         return {}
     # Who checks the certificate compares this checksum with that in result.json.
-    data = data_of(task.request, observations).sha256
+    data = data_record_of(task.request, observations).sha256
     content = {**search.certificate_content, "data": data}
     content["sha256"] = checksum_of_certificate(content)
     return {CERTIFICATE: json.dumps(content) + "\n"}

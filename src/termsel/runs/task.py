@@ -356,6 +356,7 @@ def prepare(
     Returns
     -------
     Task
+        The problem with its data, model, criterion and solver, ready for a search.
 
     Raises
     ------

@@ -293,7 +293,13 @@ class _Kinds:
         specs : mapping
             What the study names for each role, such as "problem" and "solver"; None for nothing.
         data : Data
+            The features of the cell, and where they are from.
         options : mapping
+            Options of all parts, by name.
+
+        Returns
+        -------
+        Request
 
         Raises
         ------

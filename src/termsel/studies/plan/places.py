@@ -43,7 +43,7 @@ class Places:
 def places_of(text: str, file: object) -> Places:
     """Return the places of all keys and list items of a valid text; `file` is for messages."""
     reader = _Reader(text)
-    reader.document()
+    reader.read_document()
     return Places(file, reader.known)
 
 
@@ -68,7 +68,7 @@ class _Reader:
         self._counts: dict[Path, int] = {}
         self.known: dict[Path, tuple[int, int]] = {}
 
-    def document(self) -> None:
+    def read_document(self) -> None:
         """Note the lines of all keys of a TOML document."""
         table: Path = ()
         # Each pair belongs to the last header above it.
