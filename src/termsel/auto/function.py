@@ -113,8 +113,9 @@ class FunctionMethod(Method):
     ...     return lambda ground: np.column_stack([np.ones(len(ground)), ground]) @ solution
     >>> scene = termsel.simulate_scene("ikonos-hamedan", n_lines=0)
     >>> fitted = termsel.fit(scene, termsel.FunctionMethod("mine", "a script", function=affine))
-    >>> fitted.project(scene.points.ground).shape == scene.points.image.shape
-    True
+    >>> independent = scene.points.take([role == "independent" for role in scene.points.roles])
+    >>> round(fitted.rmse(independent).total, 1)  # px
+    2.9
     """
 
     _: KW_ONLY

@@ -361,6 +361,7 @@ def may_be_bend(ground: FloatArray, agreeing: BoolArray, errors: FloatArray,
     ground : ndarray, shape (n, 2 or 3)
         Of all points.
     agreeing : ndarray of bool, shape (n,)
+        The points that agree with the majority.
     errors : ndarray, shape (m, 2)
         Of the m points that do not agree, in their order.
     max_unlikeness : float

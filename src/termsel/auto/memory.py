@@ -44,8 +44,10 @@ class Memory:
     --------
     >>> import termsel
     >>> memory = termsel.Memory(max_answers=4)
-    >>> termsel.Auto(memory=memory).memory is memory
-    True
+    >>> data = termsel.FitData.of(termsel.simulate_scene("spot-isfahan"))
+    >>> auto = termsel.Auto(memory=memory)
+    >>> [auto.fit(data).method.name for _ in range(2)]  # the second time it is looked up
+    ['regularised-cubic', 'regularised-cubic']
     """
 
     max_answers: int = MAX_ANSWERS

@@ -229,6 +229,7 @@ class Lines(Tabular):
         Returns
         -------
         ndarray, shape (len(features), ...)
+            The means, in the order of `features`.
         """
         total = np.zeros((len(self.features), *values.shape[1:]))
         np.add.at(total, self.feature, values)
@@ -258,7 +259,9 @@ class FeatureSet(Glance):
     Parameters
     ----------
     points : Points
+        Points with image and ground coordinates, and their roles.
     lines : Lines
+        Lines with two image points and two ground vertices each.
     crs : str
         Coordinate reference system of the ground coordinates, such as "EPSG:4979", or
         "local" for plane coordinates without one.

@@ -288,7 +288,7 @@ def _intersect_surface(project: Projection, image: FloatArray, surface: Surface,
 
     Returns
     -------
-    ground : (n, 3), NaN where the ray does not meet the surface
+    The places (n, 3), NaN where the ray does not meet the surface.
     """
     def at_height(rays: IntArray, height: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return places of rays at heights, (r, 3), and how far the surface is above them, (r,)."""

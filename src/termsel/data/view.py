@@ -319,7 +319,9 @@ def _may_be_clearly_better(columns: FloatArray, image: FloatArray, affine_sigma:
 def _fit_projection(columns: FloatArray, points: Points, affine_sigma: float) -> CentralView | None:
     """Return the projection with the least squares of distances in the image.
 
-    None is returned if it is not clearly better than an affine transformation, if the points do not
+    `columns` (n, k) are those of numerators and denominator at the points, a column of ones and the
+    scaled coordinates; `affine_sigma` [px] is the noise that an affine transformation leaves. None
+    is returned if it is not clearly better than an affine transformation, if the points do not
     determine it, and if some would be behind the camera.
     """
     matrix = _least_distance_matrix(columns, points.image)

@@ -70,8 +70,8 @@ class Estimator(ABC):
     --------
     >>> import termsel
     >>> fitted = termsel.fit(termsel.simulate_scene("spot-isfahan"), "affine")
-    >>> isinstance(fitted.estimator, termsel.Estimator)
-    True
+    >>> type(fitted.estimator).__name__
+    'LeastSquares'
     >>> fitted.estimator.held_out(fitted).squares.shape  # of each control point left out [px^2]
     (12,)
     """
@@ -111,6 +111,7 @@ class Estimator(ABC):
         Returns
         -------
         Fit
+            The solution, with the terms and features that it used.
 
         Raises
         ------
@@ -210,8 +211,8 @@ class HeldOut:
     --------
     >>> import termsel
     >>> fitted = termsel.fit(termsel.simulate_scene("spot-isfahan"), "affine")
-    >>> fitted.held_out().squares.shape == (len(fitted.control.points),)
-    True
+    >>> round(float(fitted.held_out().squares.mean()**0.5), 1)  # RMSE of left-out points [px]
+    14.9
     """
 
     squares: FloatArray

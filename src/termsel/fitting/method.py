@@ -163,6 +163,7 @@ class Method(ABC):
         Returns
         -------
         Fit
+            The model as the features determine it.
 
         Raises
         ------

@@ -59,8 +59,10 @@ class Fits:
     ...
     ...     def score(self, fits):  # `fits` is a Fits of p models
     ...         return np.linalg.norm(fits.check_errors, axis=2).max(axis=1)
-    >>> issubclass(LargestError, termsel.Criterion)
-    True
+    >>> task = termsel.prepare("poly-terms", criterion=LargestError, options={"degree": 2})
+    >>> genes = task.problem.genome.random(np.random.default_rng(1), 3)
+    >>> task.problem.evaluate(genes).objectives.round().T  # of three random selections [px]
+    array([[4084., 1084., 5003.]])
     """
 
     model: SensorModel
@@ -101,6 +103,7 @@ class Fits:
         Parameters
         ----------
         coefficients : ndarray, shape (p, k)
+            Of each of the p models.
         features : ndarray of int, shape (n,)
             In ascending order: points before lines.
 

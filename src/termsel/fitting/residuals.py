@@ -50,6 +50,7 @@ class Residuals(tuple[Residual, ...], Framed):
     Parameters
     ----------
     rows : iterable of Residual
+        A residual of each feature.
     crs : str
         Of the ground coordinates.
     """

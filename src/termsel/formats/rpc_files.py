@@ -89,6 +89,7 @@ def read_rpc(path: Path | str) -> Rpc:
     Returns
     -------
     Rpc
+        The coefficients, offsets and scales, and the name of the file.
 
     Raises
     ------
@@ -548,6 +549,7 @@ def write_rpc(rpc: Rpc, path: Path | str) -> None:
     Parameters
     ----------
     rpc : Rpc
+        As `read_rpc` or `rpc_of` returns it.
     path : path-like
         GDAL finds the RPC of image.tif in image.RPB next to it.
 

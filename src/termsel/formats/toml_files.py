@@ -40,6 +40,7 @@ def read_toml(file: Path, kind: str, hint: str) -> tuple[dict[str, Any], str]:
     Parameters
     ----------
     file : Path
+        The file to read.
     kind : str
         What the file should be, such as "a study file".
     hint : str

@@ -99,6 +99,7 @@ def refuse_other_units(units: Mapping[str, str], crs: str, *,
     units : mapping
         Units by axis, as `termsel.data.features.FeatureSet.named_units`.
     crs : str
+        The CRS of the ground coordinates.
     are_heights_open : bool
         Whether the heights of a CRS without a vertical axis may be in any unit.
     """

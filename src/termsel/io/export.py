@@ -87,6 +87,7 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     Parameters
     ----------
     result : Result
+        As `termsel.run` or `termsel.read_result` returns it.
     to : str
         The name of a format that ``termsel list writers`` shows.
     path : path-like

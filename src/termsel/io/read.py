@@ -173,6 +173,7 @@ def read(
     Returns
     -------
     FeatureSet
+        Points and lines with their CRS, in pixels from the centre of the upper-left one.
 
     Raises
     ------

@@ -92,6 +92,7 @@ def rectify(
     Parameters
     ----------
     result : Result
+        As `termsel.run` or `termsel.read_result` returns it.
     image : path-like
         The image the features were measured in; a zip or folder that holds it alone, or its place
         in a zip, ``FILE.zip/PLACE.tif``.
@@ -148,8 +149,9 @@ def rectify(
     ...     _ = write_example(files)
     ...     result = termsel.run("poly-terms", features=files / "gcps.csv", generations=2)
     ...     termsel.rectify(result, files / "scene.tif", files / "map.tif", dem=files / "dem.tif")
-    ...     (files / "map.tif").exists()
-    True
+    ...     with termsel.open_raster(files / "map.tif") as written:
+    ...         written.shape, written.res  # px; metres
+    ((610, 723), (9.6, 9.6))
     """
     require_result(result, "rectify")
     require_rasterio()

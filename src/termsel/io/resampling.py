@@ -64,7 +64,9 @@ def resample_pixels(window: ImageWindow, positions: FloatArray, resampling: str,
     Returns
     -------
     values : ndarray, shape (bands, lines, samples)
+        Of the type of the image; those of `empty` where nothing shows.
     visible : ndarray of bool, shape (bands, lines, samples)
+        Whether a value is one of the image.
     """
     kernel = KERNELS[resampling]
     bands = len(window.values)

@@ -108,6 +108,7 @@ def write_result(result: Result, folder: Path | str) -> None:
     Parameters
     ----------
     result : Result
+        As `termsel.run` returns it.
     folder : path-like
         It must exist; a result that is there is replaced.
 
@@ -127,8 +128,8 @@ def write_result(result: Result, folder: Path | str) -> None:
     ...                      model="affine", solver="all-terms")
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     termsel.write_result(result, folder)
-    ...     termsel.read_result(folder).selection == result.selection
-    True
+    ...     round(termsel.read_result(folder).rmse["control"].total, 1)  # px
+    9.3
     """
     require_result(result, "write_result")
     folder = Path(folder)
@@ -242,8 +243,8 @@ def read_result(folder: Path | str) -> Result:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     out = f"{folder}/result"
     ...     result = termsel.run("poly-terms", seed=1, generations=2, out=out)
-    ...     termsel.read_result(out).selection == result.selection
-    True
+    ...     termsel.read_result(out).seed
+    1
     """
     path = _path_of_file(Path(folder), RECORD)
     if not is_there(path):

@@ -108,8 +108,6 @@ class SensorModel(Configurable, ABC):
     Examples
     --------
     >>> import termsel
-    >>> issubclass(termsel.Polynomial3D, termsel.SensorModel)
-    True
     >>> termsel.Polynomial3D(degree=1).terms[0]
     'line.num:1'
     """

@@ -73,8 +73,8 @@ def get(kind: str, name: Any) -> Any:
     Examples
     --------
     >>> import termsel
-    >>> termsel.get("models", "poly2d") is termsel.Polynomial2D
-    True
+    >>> termsel.get("models", "poly2d").__name__
+    'Polynomial2D'
     """
     plurals = {each.word: plural for plural, each in KINDS.items()}
     plural = plurals.get(kind, kind)

@@ -122,8 +122,8 @@ def _interpolation_lines(record: Record) -> list[str]:
     unknown = "the points were computed, so the accuracy of the product is not known"
     if expected is not None:
         return [f"{rounded_size_text(expected.rmse)} px   RMSE {PREDICTED_BY} between the points "
-                "of the "
-                f"lattice {interval_text(expected.low, expected.high, 100 * expected.level)}",
+                "of the lattice "
+                f"{interval_text(expected.low, expected.high, 100 * expected.level)}",
                 unknown]
     control = record.rmse.control
     return [unknown] if control.total is None else [

@@ -61,6 +61,7 @@ def draw_picture(chart: Any, suffix: str) -> bytes:
     Parameters
     ----------
     chart : altair.Chart
+        The chart to draw.
     suffix : {".svg", ".png", ".pdf"}
         Format of the picture.
 

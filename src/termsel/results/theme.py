@@ -143,6 +143,7 @@ def spread_scale(values: list[float], *, zero: bool) -> tuple[Any, str]:
     Parameters
     ----------
     values : list of float
+        What is drawn along the axis.
     zero : bool
         Whether a linear scale begins at 0.
     """

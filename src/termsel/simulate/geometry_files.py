@@ -55,6 +55,7 @@ def geometry_from(text: str) -> Pushbroom:
     Returns
     -------
     Pushbroom
+        The same scanner, to the last digit.
 
     Raises
     ------
@@ -65,8 +66,9 @@ def geometry_from(text: str) -> Pushbroom:
     --------
     >>> from termsel.simulate import geometry_from, geometry_text, scene_truth
     >>> sensor = scene_truth("ikonos-hamedan").sensor
-    >>> geometry_from(geometry_text(sensor)) == sensor
-    True
+    >>> copied = geometry_from(geometry_text(sensor))
+    >>> copied == sensor, copied.n_lines
+    (True, 7000)
     """
     content = parse_json(text, _EXPECTED)
     if not isinstance(content, dict) or content.get("schema") != GEOMETRY_SCHEMA:
@@ -115,6 +117,7 @@ def read_geometry(path: Path | str) -> Pushbroom:
     Returns
     -------
     Pushbroom
+        The same scanner, to the last digit.
 
     Raises
     ------

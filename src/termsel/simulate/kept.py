@@ -52,6 +52,7 @@ def kept_features(package: str, name: str) -> FeatureSet:
     Returns
     -------
     FeatureSet
+        As they were kept, with their CRS and the size of the image.
 
     Examples
     --------

@@ -146,6 +146,7 @@ def scene_truth(
     Returns
     -------
     SceneTruth
+        The scanner without noise, the terrain, and which lines are mismatched.
 
     Raises
     ------
@@ -226,7 +227,7 @@ def _scene_geometry(name: str) -> tuple[Pushbroom, Terrain, FloatArray]:
 
 
 def _with_attitude_errors(scene: Scene, sensor: Pushbroom) -> Pushbroom:
-    """Return the sensor with drift and jitter of its attitude."""
+    """Return the sensor with drift and jitter of its attitude, as the scene states them in px."""
     end = sensor.centre[0] * sensor.line_period
     per_pixel = (sensor.ifov, sensor.ifov, 1 / sensor.centre[1])
     jitter = (*scene.jitter, 0.0)
@@ -238,6 +239,7 @@ def _with_attitude_errors(scene: Scene, sensor: Pushbroom) -> Pushbroom:
             phases, strict=True):
         # The constant part stays; each power of time moves the image by so many px at the end.
         coefficients = [shift * unit / end ** (power + 1) for power, shift in enumerate(drift)]
+        # Jitter is a sine of so many cycles over the image: amplitude [rad], frequency [Hz], phase.
         sines = ((amplitude * unit, count / (2 * end), phase),) if amplitude else ()
         angles.append(Angle((*(steady.drift or (0.0,)), *coefficients), sines))
     return replace(sensor, roll=angles[0], pitch=angles[1], yaw=angles[2])
@@ -348,6 +350,7 @@ def _noise_free_lines(scene: Scene, rng: Generator, count: int) -> Lines:
     settlement = rng.choice(4, count, p=(0.55, 0.15, 0.15, 0.15))
     centre = np.array([[0.42, 0.38], [0.75, 0.70], [0.22, 0.74], [0.5, 0.5]])[settlement]
     radius = np.array([0.20, 0.10, 0.08, 0.0])[settlement]
+    # The root of a uniform number, times the radius, makes places uniform over a disc.
     bearing = rng.uniform(0, 2 * np.pi, count)
     reach = radius * np.sqrt(rng.random(count))
     share = centre + reach[:, None] * np.column_stack([np.sin(bearing), np.cos(bearing)])

@@ -80,6 +80,7 @@ def checks(thing: Any, *, expected_failures: Mapping[str, str] | None = None,
     Returns
     -------
     tuple of Check
+        Functions without arguments, each of which raises AssertionError where it fails.
 
     Raises
     ------

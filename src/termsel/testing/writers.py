@@ -161,6 +161,7 @@ def example_results() -> tuple[Result, ...]:
     Returns
     -------
     tuple of Result
+        The two results, in this order.
 
     Examples
     --------

@@ -70,8 +70,9 @@ def warped_tile(image: Raster, prediction: Prediction, box: Box) -> Pixels:
     image_nodes = prediction.to_image(nodes).reshape(NODES_OF_TILE, NODES_OF_TILE, 2)
     if not np.isfinite(image_nodes).all():
         return np.zeros((TILE, TILE, 4), dtype=np.uint8)
-    at = (np.arange(TILE) + 0.5) / TILE * (NODES_OF_TILE - 1)
-    mesh = np.meshgrid(at, at, indexing="ij")
+    # The centres of the tile's pixels, in steps from node to node.
+    centres = (np.arange(TILE) + 0.5) / TILE * (NODES_OF_TILE - 1)
+    mesh = np.meshgrid(centres, centres, indexing="ij")
     lines, samples = (map_coordinates(image_nodes[..., axis], mesh, order=1).ravel()
                       for axis in (0, 1))
     return resample_tile(image, lines, samples)

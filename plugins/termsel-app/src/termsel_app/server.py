@@ -55,7 +55,20 @@ class Pages:
     Parameters
     ----------
     session : Session
+        What the page shows and changes.
     port : int
+        The port of `ADDRESS` at which the page is served.
+
+    Attributes
+    ----------
+    secret : str
+        What each request of an open page has to name.
+    first : str
+        What the address has that the browser is opened with; it is accepted once.
+    box : tuple of float
+        The area of the map, x min, y min, x max and y max.
+    open : set of Events
+        The pages that are open.
     """
 
     def __init__(self, session: Session, port: int) -> None:

@@ -277,7 +277,10 @@ def _multipliers_of_open_columns(node: Node, names: Sequence[int],
 def _branching_column(columns: Columns, room: int) -> int:
     """Return the index of the column whose two halves leave least open, by one bound of each.
 
-    `room` is the number of columns that may still be used.
+    The halves are the selections without the column and those with it; `room` is the number of
+    columns that may still be used. What a half leaves open is 0 if its bound closes it, and 1 if
+    there is no bound. With denominators it is the factor by which the bound lowers all their limits
+    together, to the power 1 / `_CLOSING_DECADES`; without, exp(-minimum) of the bound.
     """
     best = 0
     least_open = np.inf

@@ -200,9 +200,11 @@ def compare_ground_with_dem(
     ground : ndarray, shape (t, 3)
         Positions of the ties in the CRS of the block.
     frame : Frame
+        The local frame of the block.
     adjusted : Adjusted
         The block as adjusted without the DEM.
     dem : Surface
+        Heights of the DEM at positions in the CRS of the block.
     """
     above_dem = frame.heights(ground) - dem(ground[:, :2])
     variance = adjusted.solved.covariance_of_ties()[:, 2, 2]

@@ -117,12 +117,14 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
     Parameters
     ----------
     block : Block
+        Images, control and ties, as `read_block` returns them.
     progress : callable, optional
         Called with the share that is done.
 
     Returns
     -------
     BlockResult
+        The model of each image, the ties on the ground, and their accuracy.
 
     Raises
     ------

@@ -178,6 +178,7 @@ def select(block: Block, *, solver: str | Solver = "ga", seed: int = 1,
     Parameters
     ----------
     block : Block
+        Images, control and ties, as `read_block` returns them.
     solver : str or Solver
         Any solver of one objective, such as ga, ica, swap, or exact for few candidates.
     seed, evaluations : int

@@ -84,6 +84,7 @@ def simulate_block(
     Parameters
     ----------
     n_images : int
+        How many images there are.
     n_ties : int
         Ties of each image, about.
     control : tuple of int
@@ -114,6 +115,7 @@ def simulate_block(
     bend : float
         Standard deviation of what the attitude bends half an image by, quadratic in time [px].
     seed : int
+        Of all random numbers.
     """
     rng = np.random.default_rng(seed)
     true_sensors = [_exact_scanner(i, size, gsd, views, bend, rng) for i in range(n_images)]

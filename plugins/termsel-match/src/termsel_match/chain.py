@@ -71,6 +71,7 @@ def georeference_image(
     Returns
     -------
     Georeferenced
+        The model, the evidence on it, and why no map was written, if none was.
 
     Raises
     ------
@@ -138,6 +139,7 @@ def judge(
     Returns
     -------
     Georeferenced
+        The model, the evidence on it, and why it is not good enough, if it is not.
 
     Raises
     ------

@@ -40,9 +40,9 @@ def finds_a_shift(matcher: Matcher) -> None:
     for seed in range(_SEEDS):
         first, second = _window_pair(seed)
         matches = _valid_matches(matcher, first, second)
-        # Where the second shows what the first has, less the shift that was made.
-        away = matches.second + second.origin - matches.first - first.origin - _TRUE_SHIFT
-        right = np.linalg.norm(away, axis=1) < _NEAR
+        # Errors [px]: where the second shows what the first has, less the shift that was made.
+        errors = matches.second + second.origin - matches.first - first.origin - _TRUE_SHIFT
+        right = np.linalg.norm(errors, axis=1) < _NEAR
         require(right.sum() >= _MIN_RIGHT and right.mean() >= _RIGHT_SHARE,
                 f"of {len(right)} matches of two alike windows {int(right.sum())} are right; "
                 f"expected {_MIN_RIGHT} and more, and at least half")

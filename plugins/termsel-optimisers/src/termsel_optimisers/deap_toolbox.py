@@ -159,6 +159,7 @@ def to_deap(problem: Problem) -> base.Toolbox:
     Returns
     -------
     deap.base.Toolbox
+        With the functions above, for the loops of `deap.algorithms`.
 
     Examples
     --------

@@ -81,8 +81,8 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
     >>> from termsel_sklearn import SensorModelRegressor
     >>> points = termsel.simulate_scene("ikonos-hamedan").points
     >>> model = SensorModelRegressor(degree=1).fit(points.ground, points.image)
-    >>> model.predict(points.ground).shape == points.image.shape
-    True
+    >>> round(model.score(points.ground, points.image), 6)  # R^2
+    0.999999
     """
 
     extension = "model"
@@ -101,6 +101,7 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         Parameters
         ----------
         X : array_like, shape (n, 2) or (n, 3)
+            Ground coordinates x, y and z.
         y : array_like, shape (n, 2) or (n,)
         sample_weight : array_like, shape (n,), optional
             Weights of the points, 1 / sigma^2 up to a common factor; points with 0 are left out.
@@ -162,6 +163,7 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         Parameters
         ----------
         X : array_like, shape (n, 2) or (n, 3)
+            Ground coordinates x, y and z.
 
         Returns
         -------

@@ -81,7 +81,9 @@ def write_sigma(
     Parameters
     ----------
     result : Result
+        As `termsel.run` returns it.
     output : path-like
+        The GeoTIFF to write.
     image : path-like, optional
         The image, where the result does not know its size: the raster covers what it shows.
     like_map : path-like, optional
@@ -126,8 +128,8 @@ def write_sigma(
     >>> result = termsel.run("poly-terms", evaluations=200, options={"degree": 2})
     >>> error = write_sigma(result, "sigma.tif", crs="EPSG:32639", resolution=100.0,
     ...                     bounds=(269_000, 3_850_000, 274_000, 3_855_000))
-    >>> error < 0.1
-    True
+    >>> round(error, 2)  # as a part of the uncertainty
+    0.08
     """
     output = Path(output)
     require_tiff_name(output)

@@ -219,6 +219,7 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
     Parameters
     ----------
     ground_errors : GroundErrors
+        As `errors_of` or `read_errors` returns them.
     horizontal_class, vertical_class : float, optional
         RMSE of the accuracy class that the data were to meet [m]; by default the least class of two
         digits that they meet.
@@ -226,6 +227,7 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
     Returns
     -------
     Statements
+        Figures along each axis, in the plane and in space [m], and the sentences.
 
     Notes
     -----

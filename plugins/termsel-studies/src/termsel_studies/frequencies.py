@@ -119,12 +119,14 @@ def selection_frequencies(
     problem : str
         Name of a problem that selects terms from points.
     repeats : int
+        How many searches there are, each with other control and selection points.
     threshold : float
         Frequency from which on a term is stable, above 0 to 1. Meinshausen and Bühlmann recommend
         0.6 to 0.9.
     seed : int
         Seed of the shares and of the searches.
     generations, evaluations : int, optional
+        Budgets of each search.
     seconds : float, optional
         Budgets of each search; see `termsel.search`.
     patience : int, optional

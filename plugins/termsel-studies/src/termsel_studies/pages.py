@@ -43,6 +43,7 @@ def tables_of(study: Study, *, brief: bool = False) -> tuple[list[TableBlock], l
     Parameters
     ----------
     study : Study
+        As `termsel.compare` returns it.
     brief : bool
         Whether tables have at most five columns, as a terminal shows them.
     """

@@ -132,6 +132,8 @@ def eliminate(systems: FloatArray, count: int) -> None:
     size = 0
     while size * (size + 1) // 2 < len(systems):
         size += 1
+    # S = L D L': with the column s below the pivot d, the factor is f = s / d, and what is left of
+    # the rows below becomes S - f d f'.
     for j in range(count):
         pivot = systems[j * (j + 1) // 2 + j]
         for i in range(size - 1, j, -1):

@@ -289,9 +289,13 @@ class CameraSolutions:
         of_both = precision @ (line * sample)
         right_line = weighted @ line
         right_sample = weighted @ sample
+        # [[l, b], [b, s]]^-1 = [[s, -b], [-b, l]] / (l s - b^2), for the block of each point.
         determinant = of_line * of_sample - of_both**2
         errors = np.stack([of_sample * right_line - of_both * right_sample,
                            of_line * right_sample - of_both * right_line]) / determinant
+        # log p(others) = log p(all) - log p(point | others). The latter is a normal density of the
+        # error e with the precision P_ii: -log 2 pi + log|P_ii| / 2 - e' P_ii e / 2, where P_ii e
+        # is (P y)_i.
         logs = (self._logs[..., None] + np.log(2 * np.pi) - 0.5 * np.log(determinant)
                 + 0.5 * (errors[0] * right_line + errors[1] * right_sample))
         share, log_each = normalise_probabilities(logs.swapaxes(0, 1))

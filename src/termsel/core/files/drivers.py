@@ -95,6 +95,7 @@ def allow_driver(*names: str) -> Iterator[None]:
     Yields
     ------
     None
+        Nothing: the drivers are allowed until the block is left.
 
     Raises
     ------
@@ -131,6 +132,7 @@ def allow_remote() -> Iterator[None]:
     Yields
     ------
     None
+        Nothing: servers are allowed until the block is left.
 
     Examples
     --------

@@ -271,14 +271,15 @@ def _ground_noise_in_pixels(points: Points, noise: FloatArray) -> float | None:
 def _smooth_columns(points: Points) -> FloatArray:
     """Return columns of a smooth geometry at places, beyond cubic polynomials, (n, k).
 
-    They are powers of the sample, and heights and their squares times factors that change slowly
-    across the image: in all _TERMS columns.
+    They are higher powers of the sample, alone and times the line, and heights and their squares
+    times factors that change slowly across the image: in all _TERMS columns.
     """
     line, sample = ((points.image - points.image.mean(axis=0))
                     / np.ptp(points.image, axis=0)).T
     height = np.nan_to_num(points.ground[:, 2])
     height = (height - height.mean()) / max(float(np.ptp(height)), 1.0)
-    # Six powers, ten products with the height up to the third degree, three with its square.
+    # Six powers; the height times the ten monomials of line and sample up to the third degree; its
+    # square times three.
     powers = [sample**power * line**i for power, i in product((4, 5, 6), (0, 1))]
     slow_factors = [line**i * sample**j for i, j in product(range(4), range(4)) if i + j < 4]
     with_heights = [height * factor for factor in slow_factors]

@@ -170,6 +170,7 @@ def write_points_csv(points: Points, path: Path | str, crs: str = "") -> None:
     Parameters
     ----------
     points : Points
+        Image coordinates are counted from the centre of the upper-left pixel.
     path : path-like
     crs : str, optional
         Declared in a comment line.
@@ -219,6 +220,7 @@ def write_lines_csv(lines: Lines, path: Path | str, crs: str = "") -> None:
     Parameters
     ----------
     lines : Lines
+        Image coordinates are counted from the centre of the upper-left pixel.
     path : path-like
     crs : str, optional
         Declared in a comment line.

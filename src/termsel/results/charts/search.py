@@ -195,6 +195,7 @@ def evenly_spaced(history: Sequence[HistoryRow], limit: int) -> list[HistoryRow]
     Parameters
     ----------
     history : sequence of HistoryRow
+        A row for each generation.
     limit : int
         How many, at least 2.
     """

@@ -136,7 +136,7 @@ def why_no_frequencies(view: View) -> str:
 
 
 def correlation_map(view: View) -> Any:
-    """Return the correlations of the coefficients of the terms in use.
+    """Return a chart of the correlations of the coefficients of the terms in use, as a matrix.
 
     Orange and purple are strong correlations of either sign: the terms say nearly the same of the
     control, so that their coefficients are uncertain though their sum is not.

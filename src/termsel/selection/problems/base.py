@@ -36,6 +36,7 @@ class Evaluation:
     Parameters
     ----------
     objectives : ndarray, shape (p, m)
+        Of p individuals; the lower the better, always finite.
     violation : ndarray, shape (p,)
         0 for a feasible individual, else by how much it violates the constraints.
 
@@ -255,6 +256,7 @@ class Problem(Guarded, ABC):
         Parameters
         ----------
         genes : ndarray, shape (p, genome.size)
+            The individuals to evaluate.
         near : ndarray, shape (genome.size,)
             What most of them differ from by a gene or two.
 

@@ -49,8 +49,10 @@ class ParameterProblem(Problem):
     ...
     ...     def __init__(self, inputs):
     ...         super().__init__(inputs, parameters=["degree"])
-    >>> issubclass(Degrees, termsel.Problem)
-    True
+    >>> problem = Degrees(termsel.prepare("poly-terms").inputs)
+    >>> found = termsel.search(problem, termsel.get("solvers", "random")(), evaluations=20)
+    >>> problem.decode(found.genes).parameters, round(float(found.objectives[0]), 2)  # RMSE [px]
+    ({'degree': 3}, 2.95)
     """
 
     def __init__(self, inputs: ProblemData, parameters: Iterable[str], *, terms: bool = False,

@@ -149,6 +149,7 @@ def feature_options(**defaults: Any) -> tuple[Option, ...]:
     Returns
     -------
     tuple of Option
+        All of them, with the given defaults.
 
     Raises
     ------
@@ -175,6 +176,7 @@ def term_options(**defaults: Any) -> tuple[Option, ...]:
     Returns
     -------
     tuple of Option
+        All of them, with the given defaults.
 
     Raises
     ------

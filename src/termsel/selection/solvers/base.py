@@ -28,7 +28,9 @@ class Generation:
     index : int
         From 0, the initial population.
     genes : ndarray, shape (p, size)
+        Of the p individuals of the population.
     evaluation : Evaluation
+        Objectives and violations of the same individuals.
     details : mapping
         Further values for observers. ``empires``, int, shape (k,), the countries of each empire
         as the ICA counts them, also goes into the history.

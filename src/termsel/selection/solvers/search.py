@@ -56,6 +56,7 @@ class SearchResult:
     violation : float
         Its violation; 0 is feasible.
     seed : int
+        Of the random generator of the search.
     evaluations : int
         Individuals evaluated, those of the local refinement included.
     generations : int
@@ -64,6 +65,7 @@ class SearchResult:
         How many of these evaluations were looked up, as the same individual was already
         evaluated.
     seconds : float
+        How long it took, in all processes [s].
     interrupted : bool
         True if the user stopped it.
     ended_by_observer : bool
@@ -210,8 +212,8 @@ def search(
     >>> import termsel
     >>> task = termsel.prepare("poly-terms", options={"degree": 2})
     >>> found = termsel.search(task.problem, task.solver, observers=[lambda now: now.best < 30])
-    >>> found.ended_by_observer
-    True
+    >>> found.ended_by_observer, round(float(found.objectives[0]), 1)  # px
+    (True, 10.8)
     """
     seed = whole_seed(seed)
     require_limits(generations=generations, evaluations=evaluations, seconds=seconds,

@@ -62,9 +62,11 @@ def start(images: Sequence[ImageInput], count: int, frame: Frame,
     Parameters
     ----------
     images : sequence of ImageInput
+        Their models, control and ties.
     count : int
         Number of ties.
     frame : Frame
+        The local frame of the block.
     heights : Heights
         What is known of the heights of ties.
 
@@ -368,14 +370,15 @@ def _refuse_undetermined_images(images: Sequence[ImageInput], waiting: Sequence[
                                 located: BoolArray) -> None:
     """Raise the TermselError that some images of a block cannot be oriented.
 
-    It names up to five of the images `waiting`, with the control and the ties that each has.
+    It names up to five of the images whose indices are `waiting`, with the control and the ties
+    that each has.
     `located` (t,) says of which ties other images give the ground position.
     """
     # A control feature has two rows, one for either direction.
-    descriptions = [f"{images[i].name!r} ({len(images[i].control) // 2} control features, "
-             f"{int(located[images[i].measured.tie].sum())} ties whose ground positions other "
-             "images give)"
-             for i in waiting[:5]]
+    descriptions = [
+        f"{images[i].name!r} ({len(images[i].control) // 2} control features, "
+        f"{int(located[images[i].measured.tie].sum())} ties whose ground positions other images "
+        "give)" for i in waiting[:5]]
     further = f" and {len(waiting) - 5} more" if len(waiting) > 5 else ""
     plural = "s" if len(waiting) > 1 else ""
     raise TermselError(

@@ -87,6 +87,7 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
     normal, step : ndarray, shapes (p, p) and (p,)
         The normal equations with the first guesses as priors, and their solution.
     cameras, parameters : sequence of Camera and of ndarray, shape (p,)
+        The model of each image, and its parameters as they are now.
     slices : sequence of slice
         Where the parameters of each image are, then the offset of heights.
     of_offset : float, optional

@@ -30,6 +30,7 @@ def estimate_variances(cameras: Sequence[Camera], parameters: Sequence[FloatArra
     Parameters
     ----------
     cameras : sequence of Camera
+        The model of each image.
     parameters, covariances : sequence of ndarray, shapes (p,) and (p, p)
         Mean and covariance of the posterior of each image, with the present variances.
     variances : sequence of ndarray, shape (p,)
@@ -83,6 +84,7 @@ def loosening_factors(cameras: Sequence[Camera], parameters: Sequence[FloatArray
     Parameters
     ----------
     cameras : sequence of Camera
+        The model of each image.
     parameters, covariances : sequence of ndarray, shapes (p,) and (p, p)
         Mean and covariance of the posterior of each image, in units of the present standard
         deviations.

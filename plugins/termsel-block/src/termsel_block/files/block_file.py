@@ -121,6 +121,7 @@ def read_block(path: Path | str) -> Block:
     Returns
     -------
     Block
+        The images with their control, and the ties that they share.
 
     Raises
     ------

@@ -55,6 +55,7 @@ def require_free_folder(folder: Path, names: list[str], *, overwrite: bool,
     Parameters
     ----------
     folder : Path
+        The folder that a block is to be written into.
     names : list of str
         Names of the images.
     overwrite : bool
@@ -102,6 +103,7 @@ def write_block(result: BlockResult, folder: Path | str, *, overwrite: bool = Fa
     Parameters
     ----------
     result : BlockResult
+        The block as `adjust` returns it.
     folder : path-like
         Each image gets a folder of its name in it. The block has block.json with its schema,
         summary.txt, report.html, and ties.csv with the places of the ties.

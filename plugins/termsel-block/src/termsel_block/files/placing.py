@@ -22,6 +22,7 @@ def place_together(folder: Path, last: str) -> Iterator[Path]:
     Parameters
     ----------
     folder : Path
+        Where the files belong; it is made if need be.
     last : str
         Name of the file that is moved last: where it is, all others are.
 

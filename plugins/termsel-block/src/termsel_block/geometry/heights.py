@@ -229,9 +229,11 @@ class Heights:
         Parameters
         ----------
         ties : ndarray, shape (t, 3)
+            Positions of the ties in the frame of the block [m].
         covariance : ndarray, shape (t, 3, 3)
             Covariances of the ties' positions, given the images [m2].
         is_seen : ndarray of bool, shape (t,)
+            Which ties are seen from two images or more.
         """
         self.far = abs(self.offset)
         all_seen = self.tie_observations(ties)

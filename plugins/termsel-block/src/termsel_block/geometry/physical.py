@@ -178,6 +178,7 @@ class PhysicalCamera(Camera):
         factors : mapping
             Standard deviation of each stated term, divided by that of the model.
         parameters : ndarray, shape (p,)
+            Parameters in the units of this camera.
         """
         other_camera = copy(self)
         other_camera.sigma_factors = np.ones(parameters.size)
@@ -200,22 +201,31 @@ class PhysicalCamera(Camera):
         Parameters
         ----------
         parameters : ndarray, shape (p,)
+            Posterior means in units of the prior standard deviations.
         covariance : ndarray, shape (p, p)
             Covariance of their posterior.
+
+        Returns
+        -------
+        Contradiction
+            The probability of so large a sum of squares, its mean, and the terms that are farthest
+            from their priors, in words.
 
         Notes
         -----
         If the priors are true, a posterior mean has the variance of the prior less that of the
         posterior. Directions in which measurements show nothing are left out.
         """
-        at = np.flatnonzero(self.has_prior)
-        mean = parameters[at]
+        with_prior = np.flatnonzero(self.has_prior)
+        mean = parameters[with_prior]
         # The covariance of a posterior mean by true priors is I - C.
-        values, vectors = np.linalg.eigh(np.eye(len(at)) - covariance[np.ix_(at, at)])
+        values, vectors = np.linalg.eigh(
+            np.eye(len(with_prior)) - covariance[np.ix_(with_prior, with_prior)])
         is_measured = values > _MEASURED_SHARE
+        # m' (I - C)^+ m is chi-squared, with as many degrees of freedom as measured directions.
         square = float(((vectors[:, is_measured].T @ mean) ** 2 / values[is_measured]).sum())
         freedom = max(int(is_measured.sum()), 1)
-        names = np.array(self.model.terms)[at]
+        names = np.array(self.model.terms)[with_prior]
         farthest = np.argsort(-np.abs(mean))[:3]
         named = [f"{names[k]} by {abs(mean[k]):.1f}" for k in farthest
                  if abs(mean[k]) > _MIN_NAMED_SIGMAS]

@@ -102,6 +102,7 @@ def sensor_named(name: str) -> Sensor:
     Returns
     -------
     Sensor
+        Its constants, and how far each may be off.
 
     Raises
     ------

@@ -47,6 +47,7 @@ def taken_by_programs(path: Path | str) -> Answers:
     Returns
     -------
     Answers
+        What each program takes, and which programs are not installed or failed.
 
     Raises
     ------
@@ -59,8 +60,8 @@ def taken_by_programs(path: Path | str) -> Answers:
     >>> from termsel_formats import taken_by_programs
     >>> written = invoke("example", "files")
     >>> answers = taken_by_programs("files/ortho.tif")
-    >>> any(taken.program.startswith("rasterio") for taken in answers.taken)
-    True
+    >>> answers.taken[0].program.partition(" ")[0], answers.taken[0].transformation
+    ('rasterio', 'affine transformation')
     """
     path = Path(path)
     answers: list[Taken] = []

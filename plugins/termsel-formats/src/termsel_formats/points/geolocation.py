@@ -436,6 +436,7 @@ def _smooth_monomials(ground: FloatArray) -> FloatArray:
     """Return the monomials (n, 17) of the smooth model at scaled ground positions (n, 3).
 
     They are those of x and y up to the third degree, those up to the second times z, and z^2.
+    Unknown heights (NaN) count as 0.
     """
     x, y, z = np.nan_to_num(ground).T
     plane = []

@@ -73,6 +73,7 @@ def open_masked(path: Path | str, band: int | None, masks: Sequence[Path | str],
     Yields
     ------
     GreyRaster
+        The brightness of the image, unknown in masked areas.
 
     Raises
     ------

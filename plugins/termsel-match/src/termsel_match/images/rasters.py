@@ -191,6 +191,7 @@ def open_picture(path: Path | str, band: int | None = None) -> Iterator[GreyRast
     Yields
     ------
     GreyRaster
+        The brightness; the raster is closed on leaving.
 
     Raises
     ------

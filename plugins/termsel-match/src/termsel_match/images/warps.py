@@ -290,6 +290,7 @@ def open_reference(path: Path | str, start: Start, dem: Path | str | None, size:
     Yields
     ------
     Reference
+        The georeferenced image with its heights; both are closed on leaving.
 
     Raises
     ------

@@ -82,6 +82,7 @@ def match_lines(
     Returns
     -------
     LineCandidates
+        Up to four lines for each piece, with scores and standard deviations.
 
     Raises
     ------

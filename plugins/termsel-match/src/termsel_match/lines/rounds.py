@@ -162,6 +162,7 @@ def iterate_lines(
     Returns
     -------
     Matched
+        The lines that agree, their model, and whether the rounds settled.
 
     Raises
     ------

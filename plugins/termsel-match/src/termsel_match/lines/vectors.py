@@ -80,6 +80,12 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
     size : tuple of int
         Lines and samples of the image.
 
+    Returns
+    -------
+    Pieces
+        Ends on the ground, in the CRS of the file, and in the image by the start [px], and the
+        number of the vector that each piece is of, from "1" on.
+
     Raises
     ------
     TermselError

@@ -133,6 +133,7 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
     result : Result
         Its accuracy is that of the run: an exported fit may have used the independent points.
     title, organisation : str
+        Of the product, and of who is responsible for it.
     image : path-like, optional
         The image, whose checksum is stated.
 

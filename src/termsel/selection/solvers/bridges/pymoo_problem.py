@@ -178,6 +178,7 @@ def to_pymoo(problem: Problem, *, elementwise_runner: Callable[..., Any] | None 
     Returns
     -------
     pymoo.core.problem.Problem
+        For `pymoo.optimize.minimize`.
 
     Examples
     --------
