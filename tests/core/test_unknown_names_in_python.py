@@ -141,7 +141,7 @@ def test_messages_to_python_name_arguments_and_no_options(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize(("text", "words"), [
     ("Leave --crs out, or state --crs EPSG:4979.", "Leave crs out, or state crs='EPSG:4979'."),
-    ("Give --dem FILE or --height 12.5.", "Give dem=FILE or height=12.5."),
+    ("Give --dem FILE or --height 12.5.", "Give termsel.read(TABLE, dem=FILE) or height=12.5."),
     ("Add --set swapped=xy; --no-final takes it", "Add swapped='xy'; final=False takes it"),
     ("Of many: termsel compare --points 'a/*.csv' --out DIR. Leave --points out.",
      "Of many: termsel compare --points 'a/*.csv' --out DIR. Leave features out.")])
@@ -348,9 +348,9 @@ def test_a_crs_of_another_library_is_written_as_text() -> None:
     scene = termsel.simulate_scene("ikonos-hamedan", seed=1)
     table = scene.points.to_pandas()
     with pytest.raises(termsel.TermselError, match=re.escape("Write crs='EPSG:4979'.")):
-        termsel.fit(table, "affine", crs=4979)
+        termsel.write_points_csv(scene.points, "points.csv", crs=4979)
     with pytest.raises(termsel.TermselError, match=re.escape("Write crs=CRS.to_wkt()")):
-        termsel.fit(table, "affine", crs=pyproj.CRS(4979))
+        termsel.write_points_csv(scene.points, "points.csv", crs=pyproj.CRS(4979))
     termsel.fit(table, "affine", crs=pyproj.CRS(4979).to_wkt())
 
 

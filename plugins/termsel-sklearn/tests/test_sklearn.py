@@ -21,6 +21,7 @@ from termsel_sklearn import (
     EXPECTED_FAILED_CHECKS,
     SensorModelRegressor,
     TermSelector,
+    regressor_method,
     spatial_blocks,
 )
 
@@ -302,3 +303,32 @@ def test_classes_and_instances_are_taken_as_names_are() -> None:
     np.testing.assert_array_equal(found[0], found[2])
     with pytest.raises(ValueError, match="every column of X is constant"):
         TermSelector().fit(np.ones((20, 3)), np.arange(20.0))
+
+
+def test_slips_of_users_of_scikit_learn_are_explained() -> None:
+    points = termsel.simulate_scene("ikonos-hamedan", n_points=20, n_lines=0).points
+    fitted = SensorModelRegressor(degree=1).fit(points.ground, points.image)
+    with pytest.raises(AttributeError, match=r"They are fit_\.coefficients"):
+        _ = fitted.coef_
+    with pytest.raises(AttributeError, match="It is not fitted yet"):
+        _ = SensorModelRegressor().fit_
+    with pytest.raises(AttributeError, match="A selector predicts nothing"):
+        _ = TermSelector().predict
+    with pytest.raises(ValueError, match="Valid are: degree, model, options, strategy\\."):
+        SensorModelRegressor().set_params(degre=2)
+    with pytest.raises(ValueError, match="without PolynomialFeatures"):
+        SensorModelRegressor().fit(np.ones((9, 10)), np.ones((9, 2)))
+    with pytest.raises(ValueError, match="strategy='ridge'"):
+        SensorModelRegressor(model="ridge").fit(points.ground, points.image)
+    with pytest.raises(TypeError, match="across is 'five'"):
+        spatial_blocks(points.ground, "five")
+    with pytest.raises(termsel.TermselError, match=r"regressor_method\(LinearRegression\(\)\)"):
+        regressor_method(LinearRegression)
+
+
+def test_places_far_outside_the_control_are_told() -> None:
+    points = termsel.simulate_scene("ikonos-hamedan", n_points=20, n_lines=0).points
+    fitted = SensorModelRegressor(degree=1).fit(points.ground, points.image)
+    fitted.predict(points.ground)
+    with pytest.warns(UserWarning, match="Their x and y look exchanged"):
+        fitted.predict(points.ground[:, [1, 0, 2]])

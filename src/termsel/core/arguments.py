@@ -211,6 +211,14 @@ _ALSO_CALLED = {
 """Names of termsel by what other programs, or its own commands, call them."""
 
 
+_IN_PACKAGES = {
+    **{name: f"from termsel_sklearn import {name}" for name in (
+        "SensorModelRegressor", "TermSelector", "regressor_method", "spatial_blocks")},
+    **{name: f"import termsel_{name}" for name in (
+        "sklearn", "rpc", "match", "standards", "cameras", "hybrids", "optimisers")}}
+"""Names that are sought in termsel and are in packages of their own: how these are imported."""
+
+
 CALLED_PROJECT = ("predict", "transform", "to_image", "to_pixel", "to_pixels", "ground_to_image",
                   "world_to_pixel", "rowcol", "index")
 CALLED_LOCATE = ("inverse", "to_ground", "to_world", "image_to_ground", "pixel_to_world", "xy")
@@ -279,6 +287,25 @@ def lacks_said(remedy: str) -> Callable[[type[C]], type[C]]:
     return decorate
 
 
+def changes_said(remedy: str) -> Callable[[type[C]], type[C]]:
+    """Return a decorator of a frozen class: who sets an attribute is told how to get another one.
+
+    `remedy` has the name of the attribute as {name}.
+    """
+    def decorate(cls: type[C]) -> type[C]:
+        """Return the class, whose attributes say why they cannot be set."""
+
+        def __setattr__(_self: object, name: str, _value: object) -> None:
+            """Raise AttributeError: values of the class do not change."""
+            message = f"{cls.__name__} cannot be changed. {remedy.format(name=name)}"
+            raise AttributeError(message, name=name)
+
+        cls.__setattr__ = __setattr__  # type: ignore[method-assign]
+        return cls
+
+    return decorate
+
+
 def missing_name_message(module: str, name: str, names: Iterable[str]) -> str:
     """Return the message for a name that a module does not have, with those that may be meant."""
     known = sorted(names)
@@ -286,5 +313,7 @@ def missing_name_message(module: str, name: str, names: Iterable[str]) -> str:
     also_called: Mapping[str, str] = _ALSO_CALLED if module == "termsel" else {}
     if name in also_called:
         similar = [also_called[name]]
+    elif module == "termsel" and name in _IN_PACKAGES:
+        return f"{module} has no {name!r}. Write: {_IN_PACKAGES[name]}."
     question = f" Did you mean {' or '.join(similar)}?" if similar else ""
     return f"{module} has no {name!r}.{question}"

@@ -169,6 +169,19 @@ _DEGREES = {"linear": 1, "quadratic": 2, "cubic": 3}
 """Degrees of polynomials by what the summary of a run calls them."""
 
 
+_NUMBERED_DEGREE = re.compile(r"poly(?:nomial)?[ _-]?([1-8])")
+"""Polynomials with the degree behind their name."""
+
+_ALSO_NAMED = {
+    "polynomial": ("poly2d", "poly3d"), "poly": ("poly2d", "poly3d"),
+    "homography": ("projective2d",), "perspective": ("projective2d",),
+    "similarity": ("helmert2d",), "conformal": ("helmert2d",), "helmert": ("helmert2d",),
+    "rational": ("rfm",), "rpcs": ("rfm", "rpc"), "spline": ("tps",), "rubber-sheet": ("tps",),
+    "thin-plate-spline": ("tps",), "thin_plate_spline": ("tps",), "kriging": ("field",),
+    "gaussian-process": ("field",)}
+"""Names of models by what other programs call them."""
+
+
 def unknown_name_error(
         kind: str, name: str, names_known: Iterable[str], hint: str = "",
         summaries: Mapping[str, str] = MappingProxyType({})) -> TermselError:
@@ -180,16 +193,20 @@ def unknown_name_error(
     For the degree of a polynomial, such as cubic, the hint names the model and its option instead.
     """
     names = sorted(set(names_known))
-    similar_names = likely_names(name, names) or _names_by_word(name, summaries)
+    elsewhere = [meant for meant in _ALSO_NAMED.get(name.lower(), ()) if meant in names]
+    similar_names = (elsewhere or likely_names(name, names)
+                     or _names_by_word(name, summaries))
     # The summary calls polynomials by their degree, such as cubic, which is no name of a model.
-    if name.lower() in _DEGREES and "poly2d" in names:
-        hint = (f"Name it poly2d, or poly3d with heights, and --set degree="
-                f"{_DEGREES[name.lower()]}. {hint}").rstrip()
+    numbered = _NUMBERED_DEGREE.fullmatch(name.lower())
+    degree = numbered[1] if numbered else _DEGREES.get(name.lower())
+    if degree is not None and "poly2d" in names:
+        hint = (f"Name it poly2d, or poly3d with heights, and --set degree={degree}. "
+                f"{hint}").rstrip()
         similar_names = []
     question = f"Did you mean {' or '.join(map(repr, similar_names))}?" if similar_names else ""
     if not names:
         listed = f"No {kind} is known here: leave it out."
-    elif similar_names and len(names) > MOST_BESIDE_NEAR:
+    elif (similar_names or numbered) and len(names) > MOST_BESIDE_NEAR:
         listed = ""
     else:
         remainder = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""

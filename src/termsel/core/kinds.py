@@ -22,6 +22,8 @@ from termsel.core.errors import shown_value
 _NUMERIC = "biuf"
 """Kinds of numpy's types that hold numbers."""
 
+_ARRAY = "an array of numbers"
+
 _FOLDERS = ("out", "folder")
 """Arguments that name a folder; other names are those of files."""
 
@@ -55,12 +57,12 @@ def kind_of(name: str, hint: Any) -> Kind | None:
     if hint is Any:
         return None
     if hint is ArrayLike:
-        return Kind("an array of numbers", _is_numeric)
+        return Kind(_ARRAY, _is_numeric)
     origin = get_origin(hint)
     if origin in (Union, types.UnionType):
         return _kind_of_union(name, get_args(hint))
     if origin is np.ndarray:
-        return Kind("an array of numbers", _is_numeric)
+        return Kind(_ARRAY, _is_numeric)
     if origin is type:
         return Kind("a class", lambda value: isinstance(value, type))
     if origin is tuple:
@@ -151,10 +153,25 @@ def _is_numeric(value: object) -> bool:
     if isinstance(value, np.ndarray) and value.dtype.kind in _NUMERIC:
         return True
     try:
-        np.asarray(value, dtype=np.float64)
+        # Of complex numbers numpy would take the real part.
+        return value is not None and not np.iscomplexobj(np.asarray(value)) and bool(
+            np.asarray(value, dtype=np.float64).ndim >= 0)
     except (TypeError, ValueError):  # no numbers, or rows of several lengths
         return False
-    return value is not None
+
+
+def _first_no_number(value: object) -> str:
+    """Return where an array has something that is no number, and what; "" if that is not known."""
+    try:
+        cells = np.asarray(value, dtype=object)
+    except ValueError:  # rows of several lengths
+        return ""
+    for place, cell in np.ndenumerate(cells):
+        if not _is_numeric(cell):
+            row = f" in row {place[0]}" if place else ""
+            column = f", column {place[1]}" if len(place) > 1 else ""
+            return f"{cell!r:.60}{row}{column}" if np.ndim(cell) == 0 else ""
+    return ""
 
 
 def _is_number(value: object, kind: type = Real) -> bool:
@@ -169,11 +186,14 @@ _SIMPLE: Mapping[Any, Kind] = {
 
 
 MADE_BY = {
-    "an array of numbers": "Give a row of numbers for each place, such as [[1.0, 2.0, 3.0]].",
+    _ARRAY: "Give a row of numbers for each place, such as [[1.0, 2.0, 3.0]].",
     "a termsel.Points": "termsel.read(FILE).points makes one, of a table as well as of a file.",
     "a termsel.FeatureSet": "termsel.read(FILE) makes one, of a table as well as of a file.",
     "a termsel.Rpc": "termsel.read_rpc(FILE) makes one, and result.to_rpc().",
     "a termsel.Problem": "termsel.prepare('poly-terms', features=FEATURES).problem is one.",
+    "a termsel.Solver": "termsel.GeneticAlgorithm() is one; termsel.get('solvers', NAME)() makes "
+                        "one by its name.",
+    "a termsel.Lines": "termsel.read(lines=FILE).lines makes one.",
     "a termsel.Result": "termsel.run(features=FEATURES) or termsel.read_result(DIR) makes one.",
     "a termsel.Fit": "termsel.fit(FEATURES) makes one, and the fit of a result is one."}
 """Where a value of a kind comes from, by the words of the kind."""
@@ -197,10 +217,45 @@ def remedy_for(name: str, value: object, kind: Kind) -> str:
                 f"comment='#')[{_COLUMNS[name]}].")
     if name == "image" and type(value).__name__ == "Result":
         return "The result comes before the image."
+    if "the name of a file" in kind.words and (remedy := _as_file(name, value)):
+        return remedy
+    if name in ("model", "method") and (remedy := _as_model(name, value)):
+        return remedy
     return MADE_BY.get(kind.words, "")
+
+
+def _as_file(name: str, value: object) -> str:
+    """Return how what is in memory is given to an argument that names a file; "" if not known."""
+    # An open raster of rasterio or layer of fiona.
+    if isinstance(getattr(value, "name", None), str) and hasattr(value, "close"):
+        return f"Give its name in place of the open file: {name}={value.name!r}."  # type: ignore[attr-defined]
+    if hasattr(value, "to_file"):
+        return (f"Write the table to a file first: TABLE.to_file('{name}.gpkg'), then "
+                f"{name}='{name}.gpkg'.")
+    if hasattr(value, "__array__"):
+        return f"Write the array to a file first, such as a GeoTIFF of rasterio: {name}=FILE."
+    return ""
+
+
+def _as_model(name: str, value: object) -> str:
+    """Return how a function, an estimator or a table is used where a model is asked for, or ""."""
+    if hasattr(value, "fit") and hasattr(value, "predict"):
+        return ("A regressor of scikit-learn is a method by termsel_sklearn: "
+                f"{name}=regressor_method({type(value).__name__}()).")
+    if hasattr(value, "columns") or isinstance(value, np.ndarray):
+        return ("Image and ground coordinates are columns of one table: line, sample, x, y and z. "
+                "Join them: pandas.concat([X, Y], axis=1).")
+    if callable(value):
+        return ("A function of features that returns a projection is a method: "
+                "termsel.FunctionMethod(NAME, TITLE, function=FUNCTION). A model is a subclass of "
+                "termsel.RationalModel with name and blocks(ground).")
+    return ""
 
 
 def wrong_kind_message(name: str, value: object, kind: Kind) -> str:
     """Return what is wrong with an argument that is not of its kind."""
     shown = "None" if value is None else shown_value(value)
+    if kind.words == _ARRAY and not isinstance(value, str) and (
+            wrong := _first_no_number(value)):
+        return f"{name} has {wrong}, expected numbers"
     return f"{name} is {shown}, expected {kind.words}"

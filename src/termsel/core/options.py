@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -265,6 +265,14 @@ def resolve(declared: Iterable[Option], values: Mapping[str, Any]) -> dict[str, 
             for name, option in options.items()}
 
 
+def _by_position_message(cls: str, values: Sequence[object], names: Sequence[str]) -> str:
+    """Return the message for options of a class that are given without their names."""
+    if not names:
+        return f"{cls} takes no options: write {cls}()."
+    written = ", ".join(f"{name}={value!r:.60}" for name, value in zip(names, values, strict=False))
+    return f"{cls} takes options by name alone: {cls}({written})."
+
+
 class Configurable(Glance, Guarded):
     """A named thing with declared options; base of models, solvers and criteria.
 
@@ -293,7 +301,10 @@ class Configurable(Glance, Guarded):
 
     guards: ClassVar[Mapping[str, Check | None]] = {"__init__": None}
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, *values: object, **options: Any) -> None:
+        if values:
+            raise TypeError(_by_position_message(type(self).__name__, values, [
+                option.name for option in self.declared_options]))
         self.options: dict[str, Any] = resolve(self.declared_options, options)
         """The value of every declared option."""
 

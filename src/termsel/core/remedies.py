@@ -20,7 +20,7 @@ _PLACEHOLDER = re.compile(r"[A-Z][A-Z0-9]*")
 _ARGUMENTS = {"res": ("resolution",), "points": ("points", "features", "result"),
               "output": ("output", "path", "out"), "out": ("out", "folder")}
 """Arguments that options are called otherwise in Python, the likeliest first."""
-_OF_READING = ("dem",)
+_OF_READING = ("dem", "rpc", "image")
 """Options that in Python belong to the reading of points, but for functions that have them too."""
 _FLAGS = {"overwrite": "overwrite=True", "no-final": "final=False", "final": "final=True",
           "verbose": "verbose=True", "quiet": "quiet=True"}
@@ -54,8 +54,6 @@ class Remedy:
     def __str__(self) -> str:
         """Return the option, or the argument, as whoever asked types it."""
         if (call := _called.get()) is not None:
-            if self.value and self.name in _OF_READING and self.name not in call.arguments:
-                return f"termsel.read(TABLE, {self.name}={_literal(self.value)})"
             return _as_argument(self.name, self.value, call.arguments)
         return f"--{self.name} {self.value}" if self.value else f"--{self.name}"
 
@@ -117,7 +115,10 @@ def _as_argument(name: str, value: str, arguments: Collection[str]) -> str:
     else:
         name = next((known for known in _ARGUMENTS.get(name, ()) if known in arguments),
                     name.replace("-", "_"))
-    return f"{name}={_literal(value)}" if value else name
+    argument = f"{name}={_literal(value)}" if value else name
+    if value and name in _OF_READING and name not in arguments:
+        return f"termsel.read(TABLE, {argument})"
+    return argument
 
 
 def _literal(value: str) -> str:

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from termsel.core.arguments import explains_arguments, lacks_said
+from termsel.core.arguments import changes_said, explains_arguments, lacks_said
 from termsel.core.display import Glance
-from termsel.core.errors import TermselError, count_in_words
+from termsel.core.errors import TermselError, count_in_words, shown_value
 from termsel.data.arrays import BoolArray as BoolArray
 from termsel.data.arrays import FloatArray as FloatArray
 from termsel.data.arrays import IntArray as IntArray
@@ -45,13 +45,20 @@ _OF_POINTS: Mapping[str, str] = {
     "line": "It is points.image[:, 0].", "sample": "It is points.image[:, 1].",
     "row": "It is points.image[:, 0].", "column": "It is points.image[:, 1].",
     "xy": "They are points.ground[:, :2].", "xyz": "They are points.ground.",
-    "names": "They are points.ids.",
+    "names": "They are points.ids.", "shape": "len(points) counts them.",
+    **dict.fromkeys(("iloc", "loc", "head", "columns", "values", "describe", "index"),
+                    "As a table: points.to_pandas()."),
+    **dict.fromkeys(("geometry", "to_file", "explore", "plot", "total_bounds", "bounds"),
+                    "As a table with geometries: points.to_geopandas(CRS)."),
+    "to_crs": "termsel transforms no coordinates: geopandas does, TABLE.to_crs(CRS), before "
+              "termsel.read(TABLE).",
     "[]": "Each row is of points.ids, points.image and points.ground; as a table: "
           "points.to_pandas()."}
 """Where the coordinates of points are, by what they are called elsewhere."""
 
 
 @lacks_said("termsel.read(TABLE).points makes it of a table or a file.")
+@changes_said("dataclasses.replace(points, {name}=VALUE) makes others.")
 @dataclass(frozen=True, eq=False, repr=False)
 class Points(Tabular):
     """Conjugate points.
@@ -110,7 +117,8 @@ class Points(Tabular):
         if n == 0:
             return
         if len(roles) != n:
-            raise TermselError(f"{len(roles)} roles for {n} points")
+            raise TermselError(f"{len(roles)} roles for {n} points",
+                               hint="Give each a role, or '' for none, in the order of ids.")
         for name, role in zip(self.ids, roles, strict=True):
             if role and role not in ROLES:
                 raise TermselError(f"point {name!r} has the unknown role {role!r}",
@@ -136,6 +144,7 @@ class Points(Tabular):
 
 
 @lacks_said("termsel.read(lines=TABLE).lines makes it of a table or a file.")
+@changes_said("dataclasses.replace(lines, {name}=VALUE) makes others.")
 @dataclass(frozen=True, eq=False, repr=False)
 class Lines(Tabular):
     """Conjugate straight lines, whose end points are not conjugate.
@@ -252,6 +261,7 @@ def empty_lines() -> Lines:
     return _LINES
 
 
+@changes_said("dataclasses.replace(features, {name}=VALUE) makes others, and transforms nothing.")
 @dataclass(frozen=True, eq=False, repr=False)
 class FeatureSet(Glance):
     """Points and lines of one image.
@@ -334,6 +344,13 @@ class FeatureSet(Glance):
 
         Raises TermselError for these, and for what is no CRS.
         """
+        for name, kind in (("points", Points), ("lines", Lines)):
+            value = getattr(self, name)
+            if not isinstance(value, kind):
+                raise TermselError(f"{name} is {shown_value(value)}, expected a "
+                                   f"termsel.{kind.__name__}",
+                                   hint="termsel.read(TABLE, crs='EPSG:4979') makes features of a "
+                                        "table; FeatureSet(points, crs='EPSG:4979') of points.")
         # The class is frozen; nobody has seen the object yet.
         object.__setattr__(self, "crs", crs_text(self.crs))
         # Selections, results and messages name a feature by its id alone.
@@ -393,7 +410,15 @@ class FeatureSet(Glance):
         """Return the features that a mask (n_features,) is True for, lines with all their pieces.
 
         The mask is in the order of `ids`: points, then lines.
+
+        Raises TermselError for what is no such mask.
         """
+        mask = np.asarray(mask)
+        if mask.dtype != np.bool_ or mask.shape != (len(self),):
+            raise TermselError(f"{len(self)} features need a mask of shape ({len(self)},), not an "
+                               f"array of {mask.dtype} of shape {mask.shape}",
+                               hint="Of ids: features.take([name in IDS for name in "
+                                    "features.ids]); of rows: features.points.take(ROWS).")
         n = len(self.points)
         points = self.points.take(mask[:n])
         lines = self.lines

@@ -286,7 +286,8 @@ class Fit(Glance):
         "report": "termsel.run returns a result, which has a report.",
         "export": "termsel.run returns a result, which termsel.export writes.",
         "save": "termsel.run returns a result, which termsel.write_result writes.",
-        "accuracy": "termsel.run returns a result, which has it."}
+        "accuracy": "termsel.run returns a result, which has it.",
+        "[]": "Coefficients are fit.coefficients, by name; image positions fit.project(ground)."}
 
     model: SensorModel
     scaling: Scaling
@@ -681,7 +682,8 @@ class Fit(Glance):
         image[~np.isfinite(coordinates).all(axis=1)] = np.nan
         return image
 
-    @explains_arguments(checked_within=("heights",))
+    @explains_arguments(checked_within=("heights",),
+                        remark=lambda given, ground: given["self"].remark_on(ground))
     def locate(self, image: ArrayLike, heights: ArrayLike | Surface) -> FloatArray:
         """Return the ground points seen at image points.
 

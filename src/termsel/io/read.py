@@ -91,6 +91,9 @@ CHOSEN, PROJECTION = "auto", "projection"
 OF_PACKAGES = "reading"
 """Place of parts with options of reading: each has `options`, and `read` features with them."""
 
+_THE_TABLE = Path("the table")
+"""What messages call a table in Python, which has no file."""
+
 _LEAST_LIKENESS = 0.76
 """Likeness, by difflib: sgima_line and roles are near a name, rule is not."""
 
@@ -438,11 +441,9 @@ def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any],
     features = exchange_back(read_frame(frame, **options), swapped)
     if origin is not None:
         features = origin(features, states_own=False)
-    # Messages name a file, and a table has none.
-    table_path = Path("the table")
-    measured = replace(features, crs=_agreed_crs({table_path: features}, _stated_crs(crs)))
-    _require_crs(measured, [table_path], "columns" not in options and swapped is None)
-    _warn_of_misspelt(table_path, measured)
+    measured = replace(features, crs=_agreed_crs({_THE_TABLE: features}, _stated_crs(crs)))
+    _require_crs(measured, [_THE_TABLE], "columns" not in options and swapped is None)
+    _warn_of_misspelt(_THE_TABLE, measured)
     refuse_other_units(measured.named_units, measured.crs, are_heights_open=True)
     check_ground(without_off(measured), z_unit)
     _say_doubts(measured)
@@ -561,7 +562,8 @@ def _refuse_other_content(path: Path, head: bytes) -> None:
             content = "no geometry"
         raise TermselError(f"this is GeoJSON with {content}", file=path,
                            hint="termsel reads features of the type Point or LineString with the "
-                                "image coordinates among their properties.")
+                                "image coordinates among their properties. Of polygons give the "
+                                "centroids, or a table of the corners as areas.")
 
 
 def _reader_that_recognises(path: Path, head: bytes, readers: Sequence[Reader]) -> Reader | None:
@@ -972,8 +974,13 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
                 remedy = "Leave --crs out, or correct the file"
             else:
                 remedy = "Transform one of the files, or correct what they declare"
+            of_python = path == _THE_TABLE
+            if stated and of_python:
+                remedy = (f"Leave --crs out, or give TABLE.to_crs({short_crs_name(stated)!r}), "
+                          "which transforms the geometry")
+            declaring = "geometry" if of_python else "file"
             contradiction = TermselError(
-                f"the file declares the CRS {short_crs_name(declared)}, but {source} says "
+                f"the {declaring} declares the CRS {short_crs_name(declared)}, but {source} says "
                 f"{short_crs_name(agreed)}",
                 file=path,
                 hint=f"{difference}{remedy}; termsel does not transform coordinates.")

@@ -18,6 +18,7 @@ import numpy as np
 
 from termsel.core.errors import TermselError
 from termsel.core.options import Option
+from termsel.core.remedies import ReadRemedy
 from termsel.data.features import FloatArray
 from termsel.data.rpc import Rpc
 
@@ -118,7 +119,8 @@ def part_of(offset: str | None, scale: float | str | None) -> ImagePart | None:
             start = (np.nan, np.nan)
         if not np.isfinite(start).all():
             raise TermselError(f"option 'rpc_offset' does not take {offset!r}",
-                               hint="Give line and sample, such as rpc_offset=700,900.")
+                               hint="Give line and sample in one text, such as "
+                                    f"{ReadRemedy('rpc_offset', '700,900')}.")
     try:
         factor = 1.0 if scale is None else float(scale)
     except ValueError:

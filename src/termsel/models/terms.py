@@ -68,7 +68,8 @@ class Term:
                 object.__setattr__(self, "exponents", tuple(
                     int(power[1:] or 1) if power else 0 for power in powers.groups()))
         elif len(self.exponents) != 3 or min(self.exponents) < 0:
-            raise ValueError(f"exponents {self.exponents} of a term are not three numbers >= 0")
+            raise ValueError(f"exponents {self.exponents} of a term are not three numbers >= 0: "
+                             "give those of X, Y and Z, such as (1, 0, 0)")
 
     @staticmethod
     def parse(text: str) -> Term:

@@ -45,6 +45,12 @@ _OPTIONS_OF_KINDS = {"problems": "--problem", "models": "--model", "solvers": "-
                      "methods": "--method", "criteria": "--criterion"}
 """Options of the command line that take the names of a kind."""
 
+_MADE_OF = {"models": "a subclass of termsel.SensorModel: of termsel.RationalModel it needs name "
+                      "and blocks(ground) alone",
+            "solvers": "a subclass of termsel.Solver with name and generations(problem, rng)",
+            "methods": "a termsel.Method, such as FunctionMethod(NAME, TITLE, function=FUNCTION)"}
+"""What may stand for the name of a thing, by its kind."""
+
 SESSION = "session"
 """What stands for a distribution with things that are registered in this process."""
 
@@ -150,9 +156,12 @@ class Registry:
                 value()
         except TypeError as error:
             why = str(error).removeprefix("returned ")  # as is said of what a hook returns
+            # Of a class of the kind the reason says what is to be corrected.
+            remedy = "Correct the class." if KINDS[kind].is_of(value) else (
+                f"Give a name (termsel list {kind}), or "
+                f"{_MADE_OF.get(kind, 'an object as a plugin returns it')}.")
             raise TermselError(f"{value!r} is no {KINDS[kind].word}: {why}",
-                               hint=f"Give a name (termsel list {kind}), or an object as a "
-                                    "plugin returns it.") from error
+                               hint=remedy) from error
         return value
 
     def register(self, item: Any) -> Any:
@@ -174,8 +183,11 @@ class Registry:
             _add(provided.entries, entry, kind,
                  {other_entry.name: other_entry.provided_by for other_entry in provided.entries})
             return item
-        raise TermselError(f"{item!r} is nothing that termsel has names for",
-                           hint="Register a class of " + ", ".join(KINDS) + "; or a description.")
+        raise TermselError(f"{item!r:.100} is nothing that termsel has names for",
+                           hint="Register a class, such as a subclass of termsel.RationalModel "
+                                "with name and blocks(ground), or an object such as "
+                                "termsel.FunctionMethod(NAME, TITLE, function=FUNCTION). Kinds are "
+                                f"{', '.join(KINDS)}.")
 
     def find(self, name: str) -> list[tuple[str, Entry]]:
         """Return kind and entry of everything that has a name."""

@@ -15,7 +15,12 @@ import numpy as np
 from msgspec import UNSET, convert, field, structs
 from numpy.typing import ArrayLike
 
-from termsel.core.arguments import CALLED_LOCATE, CALLED_PROJECT, explains_arguments
+from termsel.core.arguments import (
+    CALLED_LOCATE,
+    CALLED_PROJECT,
+    changes_said,
+    explains_arguments,
+)
 from termsel.core.display import Glance
 from termsel.core.errors import TermselError, count_in_words
 from termsel.core.files.atomic import write_text
@@ -107,6 +112,7 @@ def checksums_of(content: Mapping[str, Any], features: FeatureSet) -> Checksums:
         content), checksum_of_features(features), checksum_of_attributes(features))
 
 
+@changes_said("result.with_({name}=VALUE) returns another.")
 class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, weakref=True):
     """What a run found: all that result.json holds, and the fits that it is of.
 
@@ -162,7 +168,8 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         "points": "Points are result.features.points.",
         "lines": "Lines are result.features.lines.",
         "to_pandas": "Its residuals are a table: result.residuals.to_pandas().",
-        "rpc": "result.to_rpc() returns one."}
+        "rpc": "result.to_rpc() returns one.",
+        "[]": "Its values are attributes, as result.rmse, result.accuracy, result.features."}
     fit: Fit = field(name="live_fit")
     final: Fit | None = field(name="live_final")
     features: FeatureSet
@@ -311,7 +318,9 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         own = self.exported.sigma(ground, measured=measured)
         return np.asarray(np.hypot(own, self.shared_sigma or 0.0))
 
-    @explains_arguments(checked_within=("height",))
+    @explains_arguments(
+        checked_within=("height",),
+        remark=lambda given, ground: given["self"].exported.remark_on(ground))
     def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
         """Return the ground points seen at image points, by the exported fit.
 

@@ -11,6 +11,7 @@ from termsel.core.arguments import explains_arguments
 from termsel.core.errors import TermselError, first_names_in_words, unknown_name_error
 from termsel.core.isolation.faults import attribute_errors_to
 from termsel.core.threads import one_blas_thread
+from termsel.data.coordinates.crs import CrsLike
 from termsel.data.features import FeatureSet
 from termsel.data.fit_data import FitData
 from termsel.data.roles import with_roles
@@ -27,7 +28,7 @@ log = logging.getLogger(__name__)
 
 @explains_arguments()
 def fit(features: Any, model: str | type[SensorModel] | SensorModel | Method = "rfm", *,
-        crs: str | None = None, columns: str | Mapping[str, Any] | None = None,
+        crs: CrsLike | None = None, columns: str | Mapping[str, Any] | None = None,
         **options: Any) -> Fit:
     """Fit one model to control features, without any selection.
 

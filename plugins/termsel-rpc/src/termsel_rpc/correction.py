@@ -212,7 +212,7 @@ class CorrectedRpc(Method):
         rpc = control.features.rpc
         if rpc is None:
             return ("no RPC is given. Give it with --rpc FILE, or --image FILE of an image that "
-                    "has one")
+                    "has one; an RPC fitted to points alone is the model rfm")
         missing = control.features.without_height()
         if missing:
             return (f"it needs ellipsoidal heights, and {missing[0]} has none (--dem FILE takes "

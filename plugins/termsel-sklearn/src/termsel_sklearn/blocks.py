@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,8 @@ def spatial_blocks(X: Any, across: int = 3) -> IntArray:
     ------
     ValueError
         If `across` is below 2, or X has too few columns.
+    TypeError
+        If `across` is no whole number.
 
     Examples
     --------
@@ -37,6 +40,9 @@ def spatial_blocks(X: Any, across: int = 3) -> IntArray:
     >>> spatial_blocks([[0, 0], [0, 9], [9, 0], [9, 9]], across=2).tolist()
     [0, 1, 2, 3]
     """
+    if not isinstance(across, Integral):
+        raise TypeError(f"across is {across!r:.60}, expected a whole number of blocks in x, and in "
+                        "y: across=3 makes 9")
     positions = np.asarray(X, dtype=np.float64)
     if positions.ndim != 2 or positions.shape[1] < 2 or across < 2:
         raise ValueError("blocks need x and y of each point, and at least 2 blocks each way")

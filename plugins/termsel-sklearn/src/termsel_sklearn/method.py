@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from sklearn.base import clone
 
-from termsel import FeatureSet, FunctionMethod, Undetermined
+from termsel import FeatureSet, FunctionMethod, TermselError, Undetermined
 from termsel_sklearn.arrays import FloatArray
 
 
@@ -79,6 +79,11 @@ def regressor_method(regressor: Any, name: str = "", title: str = "") -> Functio
     termsel.FunctionMethod
         A method that raises `termsel.Undetermined` for features with lines.
 
+    Raises
+    ------
+    TermselError
+        For a class, and for what has no ``predict``.
+
     Examples
     --------
     >>> import termsel
@@ -89,6 +94,12 @@ def regressor_method(regressor: Any, name: str = "", title: str = "") -> Functio
     >>> result.strategy.chosen
     'LinearRegression'
     """
+    if isinstance(regressor, type) or not hasattr(regressor, "predict"):
+        name = getattr(regressor, "__name__", type(regressor).__name__)
+        raise TermselError(f"regressor is {regressor!r:.100}, expected an estimator",
+                           hint=f"Give one with options of its own: regressor_method({name}())."
+                           if isinstance(regressor, type) else
+                           "Such as regressor_method(LinearRegression()).")
     kind = type(regressor).__name__
     return FunctionMethod(name or kind, title or f"a {kind} of scikit-learn",
                           function=_Fitting(regressor))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -24,6 +25,21 @@ class WithOptions(BaseEstimator):  # type: ignore[misc]
 
     options: dict[str, Any] | None
 
+    attributes_elsewhere: ClassVar[Mapping[str, str]] = {}
+    """What is meant by attributes that other estimators have: a sentence by name."""
+
+    def __getattr__(self, name: str) -> Any:
+        """Raise AttributeError with what is meant by a name that the estimator does not have."""
+        message = f"{type(self).__name__} has no {name!r}."
+        is_fitted = any(key.endswith("_") and not key.startswith("_") for key in vars(self))
+        if name.startswith("_"):
+            meant = ""
+        elif name.endswith("_") and not is_fitted:
+            meant = "It is not fitted yet: call fit(X, y) first."
+        else:
+            meant = self.attributes_elsewhere.get(name, "")
+        raise AttributeError(f"{message} {meant}".rstrip(), name=name)
+
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """Return the parameters; with `deep` the options of the model or solver as well."""
         parameters: dict[str, Any] = super().get_params(deep)
@@ -43,7 +59,7 @@ class WithOptions(BaseEstimator):  # type: ignore[misc]
         for name in params:
             if name not in option_values:
                 extension = getattr(self, self.extension)
-                names = [*self._get_param_names(), *option_values]
+                names = dict.fromkeys([*self._get_param_names(), *option_values])
                 raise ValueError(f"Invalid parameter {name!r} for {type(self).__name__} with "
                                  f"{self.extension} {extension!r:.100}. Valid are: "
                                  f"{', '.join(names)}.")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+import re
+import warnings
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 from sklearn.base import MultiOutputMixin, RegressorMixin
@@ -86,6 +89,12 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
     """
 
     extension = "model"
+    attributes_elsewhere: ClassVar[Mapping[str, str]] = {
+        "coef_": "They are fit_.coefficients, of scaled coordinates.",
+        "intercept_": "It is in fit_.coefficients.",
+        "residuals_": "They are fit_.residuals.", "result_": "termsel.run returns a result.",
+        "project": "It is predict(X).", "transform": "It is predict(X).",
+        "locate": "It is fit_.locate(image, heights).", "sigma": "It is fit_.sigma(ground)."}
 
     def __init__(self, model: Any = "polynomial", degree: int | None = None,
                  strategy: str | Method = "least-squares",
@@ -124,8 +133,13 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
                              ensure_min_samples=2, ensure_min_features=2)
         image = np.asarray(y, dtype=np.float64).reshape(len(X), -1)
         if X.shape[1] not in (2, 3) or image.shape[1] not in (1, 2):
+            remedy = (". Give X without PolynomialFeatures: the model makes its own terms"
+                      if X.shape[1] > 3 else "")
             raise ValueError(f"X has {X.shape[1]} columns and y {image.shape[1]}; ground "
-                             "coordinates have 2 or 3, image coordinates 1 or 2")
+                             f"coordinates have 2 or 3, image coordinates 1 or 2{remedy}")
+        if isinstance(self.model, str) and self.model in STRATEGIES:
+            raise ValueError(f"model is {self.model!r}, which is a strategy: write "
+                             f"strategy={self.model!r} beside a model")
         method = self._method_or_strategy()
         self._n_image_columns = None if np.ndim(y) == 1 else image.shape[1]
         # A model has two image coordinates: a single one is fitted as both, and predicted once.
@@ -154,7 +168,7 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
                 plane_model.name, f"model {plane_model.name!r}", model_with_height, plane_model,
                 estimator=STRATEGIES[str(self.strategy)]))
         except TermselError as error:
-            raise ValueError(str(error)) from error
+            raise ValueError(_in_words_of_sklearn(str(error))) from error
         return self
 
     def predict(self, X: Any) -> FloatArray:
@@ -172,7 +186,10 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         """
         check_is_fitted(self)
         X = validate_data(self, X, reset=False, dtype=np.float64)
-        image: FloatArray = self.fit_.project(_ground_with_heights(X))
+        ground = _ground_with_heights(X)
+        image: FloatArray = self.fit_.project(ground)
+        if remark := self.fit_.remark_on(ground):
+            warnings.warn(remark, UserWarning, stacklevel=2)
         return image[:, 0] if self._n_image_columns is None else image[:, :self._n_image_columns]
 
     def _method_or_strategy(self) -> Method | None:
@@ -207,6 +224,13 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         """Return the class or instance of the model; for "polynomial" that of X, Y and Z."""
         polynomial = isinstance(self.model, str) and self.model == "polynomial"
         return Polynomial3D if polynomial else super()._given_extension()
+
+
+def _in_words_of_sklearn(text: str) -> str:
+    """Return a message with parameters of the regressor in place of options of the command line."""
+    for option, parameter in (("--method", "strategy"), ("--model", "model")):
+        text = re.sub(rf"{option} ([\w-]+)", rf"{parameter}='\1'", text)
+    return text
 
 
 def _merge_points(X: FloatArray, image: FloatArray, weights: FloatArray,

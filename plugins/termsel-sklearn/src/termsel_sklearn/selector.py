@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from math import comb, log
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from sklearn.feature_selection import SelectorMixin
@@ -175,6 +176,14 @@ class TermSelector(SelectorMixin, WithOptions):  # type: ignore[misc]
     """
 
     extension = "solver"
+    attributes_elsewhere: ClassVar[Mapping[str, str]] = {
+        "predict": "A selector predicts nothing: put it before a regressor, "
+                   "make_pipeline(TermSelector(), LinearRegression()).",
+        "coef_": "A selector has the columns alone: support_.",
+        "estimator_": "A selector has none; its search is search_.",
+        "ranking_": "Columns are selected or not: support_.",
+        "n_features_": "support_.sum() counts them.",
+        "scores_": "The criterion of the columns is that of search_."}
 
     def __init__(self, solver: Any = "swap", max_terms: int | None = None,
                  generations: int | None = None, seed: int = 1,

@@ -123,6 +123,11 @@ OWN = "termsel"
 
 HINT = "This is a bug in the plugin, not your mistake: report it to its author."
 
+_SESSION = "__main__"
+"""Module of what is typed into a notebook or a script."""
+
+_OWN_HINT = "It is defined in this session: correct it there, and run its cell again."
+
 _packages: dict[str, str] = {}
 
 
@@ -159,7 +164,7 @@ def distribution_of(package: str) -> str:
             return f"{name} {version(name)}"
         except PackageNotFoundError:
             continue
-    return "this session" if package == "__main__" else f"the module {package}"
+    return "this session" if package == _SESSION else f"the module {package}"
 
 
 @lru_cache(maxsize=1)  # opens every installed distribution
@@ -194,6 +199,7 @@ def fault_of_method(definition: Any, method: str, fault: str, hint: str = HINT,
     is shown instead of the name of the definition. `hint` is what the reader of the message can do.
     """
     file, line = _where_defined(definition, method)
+    hint = _hint_for(package_of(definition), hint)
     return PluginFault(f"{name or name_of(definition)}: {method}() {fault}", file=file,
                        line=line, hint=hint)
 
@@ -231,7 +237,13 @@ def fault_of_error(error: BaseException, activity: str, package: str,
     if os.environ.get("TERMSEL_DEBUG") == "1":
         traceback.print_exc()
     file, line = _innermost_line_of(error.__traceback__, package)
-    return PluginFault(f"{activity}: {exception_in_words(error)}", file=file, line=line, hint=hint)
+    return PluginFault(f"{activity}: {exception_in_words(error)}", file=file, line=line,
+                       hint=_hint_for(package, hint))
+
+
+def _hint_for(package: str, hint: str) -> str:
+    """Return a hint: what the user has defined is no plugin of anybody else."""
+    return _OWN_HINT if hint == HINT and package == _SESSION else hint
 
 
 def _innermost_line_of(trace: TracebackType | None, package: str) -> tuple[str | None, int | None]:

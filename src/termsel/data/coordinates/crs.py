@@ -11,7 +11,7 @@ import logging
 import os
 import re
 import unicodedata
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from functools import lru_cache
 from itertools import chain
@@ -112,7 +112,8 @@ def crs_text(crs: CrsLike) -> str:
         return f"EPSG:{crs}"
     if isinstance(crs, _WithWkt):
         return normalise(crs.to_wkt())
-    raise TermselError(f"crs={crs!r} is no CRS", hint=f"Examples: {EXAMPLES}.")
+    of_proj = " Of parameters of PROJ: crs=pyproj.CRS(DICT)." if isinstance(crs, Mapping) else ""
+    raise TermselError(f"crs={crs!r} is no CRS", hint=f"Examples: {EXAMPLES}.{of_proj}")
 
 
 def normalise(crs: str) -> str:

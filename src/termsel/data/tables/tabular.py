@@ -48,9 +48,20 @@ def read_only_array(values: ArrayLike, shape: tuple[int, ...], content: str) -> 
     """Return values as an array that cannot be written to; refuse another shape."""
     array = np.array(numbers_or_nan(values))  # a copy, which nobody else can change
     if array.shape != shape:
-        raise TermselError(f"{content} has shape {array.shape}, expected {shape}")
+        raise TermselError(f"{content} has shape {array.shape}, expected {shape}",
+                           hint=_shape_in_words(array.shape, shape))
     array.setflags(write=False)
     return array
+
+
+def _shape_in_words(shape: tuple[int, ...], expected: tuple[int, ...]) -> str:
+    """Return what to give where an array of a feature's values has another shape."""
+    if shape[1:] != expected[1:] and shape == (*expected[:-1], expected[-1] - 1) and (
+            expected[-1] == 3):
+        return "Give x, y and z of each, with NaN for a height that is not known."
+    if shape == expected[:1] and expected[1:] == (2,):
+        return "Give two values of each, of line and of sample, also where they are the same."
+    return f"There are {expected[0]} ids: give the values of each, in their order."
 
 
 def check_finite(values: FloatArray, ids: Sequence[str], kind: str, content: str) -> None:
@@ -362,7 +373,8 @@ def as_numbers(cells: TextArray, ids: Sequence[str], name: str) -> FloatArray:
         if cell and ("_" in cell or not math.isfinite(numbers[row])):
             raise TermselError(f"{ids[row]!r} has {cell!r} in this column, expected a number",
                                column=name, ids=[ids[row]],
-                               hint="Correct the cell, or leave it blank.")
+                               hint="Correct the cell, or leave it blank; texts() returns it as "
+                                    "text.")
     return numbers
 
 
@@ -420,6 +432,9 @@ class Tabular(Glance, Framed):
         `ends` is the shape of the places of one feature, (2,) of lines; no attributes can have the
         names `reserved`.
         """
+        if isinstance(self.ids, str):
+            raise TermselError(f"ids is {self.ids!r:.60}, expected a list of texts",
+                               hint=f"Give one for each {kind}, such as ['P1', 'P2'].")
         ids = tuple(str(name).strip() for name in self.ids)  # as files hold them
         n = len(ids)
         checked: dict[str, Any] = {
@@ -526,15 +541,35 @@ def _given_fields(kind: Hashable) -> tuple[str, ...]:
 def rows_of(ids: Sequence[str], index: ArrayLike) -> NDArray[np.intp]:
     """Return the numbers of the rows, (r,), that an index of integers or a mask names.
 
-    Raises TermselError if it names one more than once: such a point would count twice in each fit.
+    Raises TermselError if it names one more than once, as such a point would count twice in each
+    fit; for another length of the mask, for rows that are not there, and for ids.
     """
     array = np.asarray(index)
+    _refuse_other_index(array, ids)
     rows = np.arange(len(ids))[array if array.size else np.zeros(0, dtype=np.intp)]
     times = np.bincount(rows, minlength=1)
     if times.max() > 1:
         raise TermselError(f"{ids[int(times.argmax())]!r} is asked for {times.max()} times",
                            hint="Give the index of every point and line once.")
     return np.asarray(rows)
+
+
+def _refuse_other_index(index: NDArray[Any], ids: Sequence[str]) -> None:
+    """Raise TermselError for what is no mask of the rows with `ids`, and no numbers of rows."""
+    n = len(ids)
+    if index.dtype.kind == "b" and index.shape != (n,):
+        raise TermselError(f"the mask has shape {index.shape}, expected ({n},)",
+                           hint="Give True or False for each row, in the order of ids.")
+    if index.dtype.kind in "UO":
+        raise TermselError(f"{index.tolist()[0]!r:.60} is no row; these are numbers from 0 to "
+                           f"{n - 1}",
+                           hint="Of ids: take([name in IDS for name in points.ids]).")
+    if index.dtype.kind in "iu" and index.size and (index.min() < -n or index.max() >= n):
+        wrong = index[(index < -n) | (index >= n)][0]
+        raise TermselError(f"there is no row {wrong}: {n} rows count from 0 to {n - 1}")
+    if index.dtype.kind == "f" and index.size:
+        raise TermselError(f"{index.flat[0]} is no row, which has a whole number",
+                           hint="Give whole numbers, or a mask of True and False for each row.")
 
 
 def replace_unchecked(table: _Table, **changes: Any) -> _Table:

@@ -58,8 +58,8 @@ def as_cell(value: Any) -> str:
 
     Whole numbers have no decimal point, as readers of spreadsheets give an id 17 as 17.0.
     """
-    # NaN differs from itself; NaT and <NA> are those of pandas.
-    if value is None or value != value or str(value) in ("NaT", "<NA>"):
+    # NaN differs from itself; NaT and <NA> are those of pandas, masked cells those of numpy.
+    if value is None or value is np.ma.masked or value != value or str(value) in ("NaT", "<NA>"):
         return ""
     if isinstance(value, float | np.floating):
         number = float(value)

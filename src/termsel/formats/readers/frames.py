@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import logging
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet
-from termsel.data.tables.columns import LINES, POINTS, parse_columns
+from termsel.data.tables.columns import LINES, POINTS, columns_by_meaning, parse_columns
 from termsel.formats.readers.cells import count_meanings, rows_of_records
 from termsel.formats.readers.csv_tables import LinesCsv
 from termsel.formats.readers.tables import points_of, table_of
+
+log = logging.getLogger(__name__)
 
 ACCEPTED = ("a FeatureSet, the name of a file, a DataFrame of pandas, geopandas or polars, a list "
             "of dicts, or a dict of columns")
@@ -56,9 +62,9 @@ def _table_records(frame: Any) -> tuple[list[dict[str, Any]], str]:
     if hasattr(frame, "to_dicts"):  # polars
         return list(frame.to_dicts()), ""
     if not hasattr(frame, "to_dict") or not hasattr(frame, "columns"):
-        raise TermselError(f"features cannot be read from the type {type(frame).__name__}",
-                           hint=f"Give {ACCEPTED}. Of an array A: {{'line': A[:, 0], "
-                                "'sample': A[:, 1], 'x': A[:, 2], 'y': A[:, 3]}.")
+        raise TermselError(f"features cannot be read from the type {type(frame).__name__}"
+                           f"{_content_in_words(frame)}",
+                           hint=_as_table(frame) or f"Give {ACCEPTED}.")
     repeated = [str(name) for name in frame.columns[frame.columns.duplicated()]]
     if repeated:
         raise TermselError(f"the table has several columns named {repeated[0]!r}",
@@ -67,8 +73,10 @@ def _table_records(frame: Any) -> tuple[list[dict[str, Any]], str]:
     records = (frame.reset_index() if frame.index.name else frame).to_dict("records")
     shapes = list(frame.geometry) if hasattr(frame, "geom_type") else []
     if not any(_is_point(shape) for shape in shapes):
+        _refuse_other_shapes(records, frame)
         return records, ""
     name = frame.geometry.name
+    _say_other_columns(frame)
     rows = []
     for number, (record, shape) in enumerate(zip(records, shapes, strict=True), 1):
         if not _is_point(shape):
@@ -82,6 +90,88 @@ def _table_records(frame: Any) -> tuple[list[dict[str, Any]], str]:
             row[_GROUND["z"]] = point.z
         rows.append(row)
     return rows, "" if frame.crs is None else frame.crs.to_wkt()
+
+
+def _content_in_words(frame: Any) -> str:
+    """Return what a list holds, such as " of Point"; "" for other values."""
+    if isinstance(frame, Sequence) and len(frame):
+        return f" of {type(frame[0]).__name__}"
+    return ""
+
+
+def _as_table(frame: Any) -> str:
+    """Return how a table is made of what is none, but is often at hand; "" for anything else."""
+    if isinstance(frame, tuple) and len(frame) == 2 and isinstance(frame[0], list):
+        return "A rasterio dataset has both: GCPS, CRS = DATASET.gcps, then read GCPS. " + (
+            _as_table(frame[0]))
+    if isinstance(frame, Mapping):
+        return "Give each column a list, also of one row: {'line': [12.5], ...}."
+    if hasattr(frame, "to_dataframe"):  # xarray
+        return "Give DATASET.to_dataframe().reset_index()."
+    first = frame[0] if isinstance(frame, Sequence) and len(frame) else None
+    # Points of rasterio count rows and columns from the corner of a pixel.
+    if hasattr(first, "row") and hasattr(first, "col"):
+        return ("Of points of rasterio: termsel.read([{'id': p.id, 'line': p.row, 'sample': p.col, "
+                "'x': p.x, 'y': p.y, 'z': p.z} for p in GCPS], crs=CRS, image_origin='corner').")
+    if hasattr(frame, "geom_type") or hasattr(first, "geom_type"):
+        return ("Geometries have no image coordinates. Give them a table with these: "
+                "geopandas.GeoDataFrame({'line': LINES, 'sample': SAMPLES}, geometry=GEOMETRIES, "
+                "crs=CRS).")
+    if isinstance(first, str | Path):
+        return ("Read each file by itself: termsel.read(FILE); one of points and one of lines "
+                "together: termsel.read(POINTS, LINES).")
+    if hasattr(frame, "to_frame"):  # a row or a column of pandas
+        return "Give a table: TABLE.loc[[ROW]] is one of a single row."
+    if hasattr(frame, "__array__") or isinstance(first, Sequence) or hasattr(first, "__array__"):
+        return ("Name the columns: pandas.DataFrame(ROWS, columns=['line', 'sample', 'x', 'y', "
+                "'z']), in the order that they have.")
+    return ""
+
+
+def _refuse_other_shapes(records: Sequence[Mapping[str, Any]], frame: Any) -> None:
+    """Raise TermselError for a table without ground coordinates but with geometries.
+
+    They are those of a GeoDataFrame, of which none is a point, or points in a plain table.
+    """
+    for name, value in (records[0] if records else {}).items():
+        if not hasattr(value, "geom_type") or _has_ground(frame.columns):
+            continue
+        if not hasattr(frame, "geom_type"):
+            raise TermselError("the table has geometries, and is no GeoDataFrame", column=name,
+                               hint=f"Give geopandas.GeoDataFrame(TABLE, geometry={name!r}, "
+                                    "crs=CRS).")
+        kind = value.geom_type
+        remedy = ("A table of lines has columns line1, sample1, line2, sample2, x1, y1, z1, x2, y2 "
+                  "and z2; those of a file are read by lines=FILE." if "Line" in kind else
+                  "Their centres are points: TABLE.set_geometry(TABLE.to_crs(UTM).centroid). Areas "
+                  "of the ground and of the image are read from files, by areas=FILE.")
+        raise TermselError(f"the table has the geometry of a {kind}, expected points",
+                           column=name, hint=remedy)
+
+
+def _has_ground(names: Iterable[Any]) -> bool:
+    """Return whether columns have names for x and y."""
+    header = [str(name) for name in names]
+    return all(columns_by_meaning(header, {axis: POINTS[axis]})[axis] for axis in "xy")
+
+
+def _say_other_columns(frame: Any) -> None:
+    """Log a note on columns of x and y that differ from the geometry, which is taken."""
+    header = [str(name) for name in frame.columns]
+    for axis in "xy":
+        for index in columns_by_meaning(header, {axis: POINTS[axis]})[axis]:
+            column = frame.iloc[:, index]
+            geometry = getattr(frame.geometry, axis) if _is_points(frame.geometry) else column
+            if column.dtype.kind in "iuf" and not np.allclose(column, geometry, equal_nan=True):
+                log.warning("Note: the column %r of row 1 is %s, and %s of its geometry %s: the "
+                            "geometry is read, and its CRS.", header[index],
+                            column.iloc[0], axis, geometry.iloc[0])
+                return
+
+
+def _is_points(geometry: Any) -> bool:
+    """Return whether all geometries are single points."""
+    return bool((geometry.geom_type == "Point").all())
 
 
 def _is_point(shape: Any) -> bool:

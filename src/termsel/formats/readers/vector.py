@@ -308,9 +308,20 @@ def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],
         # A layer may mix kinds, and have features without any.
         kind = "missing" if shape is None or shape.is_empty else shape.geom_type
         if kind not in kinds:
-            raise feature.error(f"its geometry is {kind}, expected " + " or ".join(kinds))
+            raise feature.error(f"its geometry is {kind}, expected {' or '.join(kinds)}",
+                                hint=_other_geometry(kind))
         features.append(feature)
     return features, str(meta["crs"] or "")
+
+
+def _other_geometry(kind: str) -> str:
+    """Return what to do with a layer that has a geometry of another kind."""
+    if kind == "missing":
+        return "Give it a geometry, or delete the feature."
+    if "Polygon" in kind:
+        return ("Points of the centres: in QGIS Vector > Geometry Tools > Centroids, in geopandas "
+                "TABLE.set_geometry(TABLE.centroid). Areas are read from a table of their corners.")
+    return "Give a layer of that kind, or delete the feature."
 
 
 def _number_or_text(value: Any) -> Any:

@@ -306,7 +306,8 @@ class Subset(Named):
         """Raise TermselError for an m that is not from 0 to the number of labels."""
         if not 0 <= self.m <= len(self.labels):
             raise TermselError(f"segment {self.name!r} cannot choose {self.m} of "
-                               f"{len(self.labels)}")
+                               f"{len(self.labels)}",
+                               hint=f"m is from 0 to the {len(self.labels)} labels.")
 
     @property
     def size(self) -> int:

@@ -340,7 +340,8 @@ def _parse_options(at: Places, path: Keys, table: Any) -> dict[str, Any]:
     for key, value in _require_table(at, path, table).items():
         if not isinstance(value, str | int | float | bool):
             raise at.error((*path, key), f"the option {key} is neither text, number nor true or "
-                           "false")
+                           "false", "Give it one value. Several are compared as problems or models "
+                           f"of their own: [{{name = \"poly2d\", {key} = ...}}, ...].")
     return dict(table)
 
 
