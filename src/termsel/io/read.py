@@ -176,7 +176,7 @@ def read(
     Returns
     -------
     FeatureSet
-        Points and lines with their CRS, in pixels from the centre of the upper-left one.
+        Points and lines with their CRS; line and sample are 0 in the centre of the first px.
 
     Raises
     ------
