@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from termsel.adjustment.bayesian.held_out import chance_of
 from termsel.adjustment.bayesian.posterior import scales_of, solve_posterior
 from termsel.auto import contradictions
 from termsel.auto.auto import Auto
-from termsel.auto.blunders import find_blunders, judge_others
+from termsel.auto.blunders import _agreeing_features, find_blunders, judge_others
 from termsel.auto.contradictions import Test as Contradictions
 from termsel.auto.memory import Memory
 from termsel.auto.misplaced import misplaced_points
@@ -517,3 +519,31 @@ def test_limits_of_detection_do_not_depend_on_a_point_out_of_place() -> None:
     assert without is not None
     assert suspects.blunders.nonzero()[0].tolist() == [10]
     assert np.median(suspects.limits[others]) == pytest.approx(np.median(without.limits), rel=0.15)
+
+
+@pytest.mark.parametrize("wrong", [0, 8])
+def test_two_tests_show_that_none_of_many_points_is_a_blunder(
+    wrong: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    control = FitData.of(moved(all_control(scene(120)),
+                               {7 * i: (20.0, -10.0) for i in range(wrong)}), True)
+    tests = []
+    clearly_better_of = contradictions._clearly_better_of
+
+    def counted(*tests_of_degrees: Any) -> Any:
+        tests.append(1)
+        return clearly_better_of(*tests_of_degrees)
+
+    monkeypatch.setattr(contradictions, "_clearly_better_of", counted)
+    everything = contradictions.Division(control, np.ones(120, dtype=bool))
+    by_steps = _agreeing_features(control, cache(everything.shrunken_test))
+    steps = len(tests)
+    monkeypatch.setattr("termsel.auto.blunders.MANY_POINTS", 100)
+    found = _agreeing_features(control, cache(everything.shrunken_test))
+    assert found is not None
+    assert by_steps is not None
+    assert (~found[0]).sum() == wrong
+    np.testing.assert_array_equal(found[0], by_steps[0])
+    np.testing.assert_array_equal(found[1].strain, by_steps[1].strain)
+    assert steps > 8
+    assert len(tests) - steps == (steps if wrong else 2)

@@ -11,10 +11,11 @@ import pytest
 
 import termsel
 from termsel import FeatureSet, Points
+from termsel.auto import majority
 from termsel.auto.auto import Auto
 from termsel.auto.blunders import agreement, find_blunders
-from termsel.auto.majority import _are_interleaved, closest_halves, find_majority
-from termsel.data.features import empty_lines
+from termsel.auto.majority import Halves, _are_interleaved, closest_halves, find_majority
+from termsel.data.features import FloatArray, empty_lines
 from termsel.data.fit_data import FitData
 from termsel.data.roles import observations_by_role
 from termsel.runs.verdict import judge_features
@@ -197,3 +198,30 @@ def test_points_that_disagree_are_among_the_others_in_whatever_order_they_are() 
         assert _are_interleaved(ordered, agreeing)
         assert _are_interleaved(ground, agreeing)
     assert not _are_interleaved(ordered, np.arange(2000) > 700)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.4])
+def test_a_forward_search_of_many_points_ends_early_with_the_same_majority(
+    share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = FitData.of(spoilt(scene(400), share)[0], True)
+    steps = []
+    noise_and_strains = majority._noise_and_strains
+
+    def counted(*arguments: FloatArray) -> tuple[float, FloatArray]:
+        steps.append(1)
+        return noise_and_strains(*arguments)
+
+    monkeypatch.setattr(majority, "_noise_and_strains", counted)
+    halves = Halves.of(data)
+    by_all_steps = find_majority(data, halves)
+    all_steps = len(steps)
+    monkeypatch.setattr(majority, "MANY_POINTS", 400)
+    found = find_majority(data, halves)
+    if share < 1 / 3:
+        assert found is None
+        assert by_all_steps is None
+    else:
+        assert found is not None
+        np.testing.assert_array_equal(found, by_all_steps)
+    assert share or len(steps) - all_steps < 0.7 * all_steps

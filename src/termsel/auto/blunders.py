@@ -48,6 +48,7 @@ from termsel.auto.contradictions import (
 from termsel.auto.likeliest_majority import likeliest_majority
 from termsel.auto.majority import (
     ADDED_PART,
+    MANY_POINTS,
     MAX_BLUNDER_SHARE,
     MIN_POINTS,
     NOISE_JUMP,
@@ -88,6 +89,9 @@ is no polynomial."""
 OUT_OF_PLACE = 0.5
 """Error by the extent of the points in the image, beyond which a far point is not in its place."""
 
+CLEARLY_WITHIN = 0.95
+"""Part of MIN_STRAIN within which an error stays, whichever of many points are in use."""
+
 MIN_PROBABLE_POINTS = 21
 """Points below which none is left out for being likelier a blunder. They are no more than the
 coefficients of a cubic polynomial, and a right point that shows a bend may look like one."""
@@ -120,6 +124,7 @@ class _Verdict:
     probable: BoolArray
     undecided: BoolArray
     test: Test
+    polynomial: Test | None  # by a polynomial of those in use, where a field has judged them
 
     def suspects(self, control: FitData) -> Suspects:
         """Return the findings, with the least error [px] that would be named at each feature."""
@@ -127,11 +132,10 @@ class _Verdict:
         suspects = self.test.suspects(self.blunders, self.probable, self.undecided, everything)
         # A field predicts little without a point, but the polynomial judged all points before it.
         # In simulations half of the errors of 1 to 1.4 times the smaller of both limits are found.
-        polynomial = Division(control, self.used).shrunken_test() if self.test.by_field else None
-        if polynomial is None:
+        if self.polynomial is None:
             return suspects
-        limits = polynomial.suspects(self.blunders, self.probable, self.undecided,
-                                     everything).limits
+        limits = self.polynomial.suspects(self.blunders, self.probable, self.undecided,
+                                          everything).limits
         return replace(suspects, limits=np.minimum(suspects.limits, limits))
 
 
@@ -170,11 +174,13 @@ def _verdict_without(misplaced: BoolArray, control: FitData, auto: Auto) -> _Ver
 
     # The test is of all features, so that misplaced points have their errors, too.
     used = of_all(others.used, False)
-    test = Division(control, used).test()
+    division = Division(control, used)
+    test = division.test()
     if test is None:
         return None
     return _Verdict(used, of_all(others.blunders, True), of_all(others.probable, False),
-                    of_all(others.undecided, False), test)
+                    of_all(others.undecided, False), test,
+                    division.shrunken_test() if test.by_field else None)
 
 
 def _points_out_of_place(control: FitData, auto: Auto) -> tuple[BoolArray, BoolArray]:
@@ -208,6 +214,7 @@ def _verdict_on(control: FitData, auto: Auto) -> _Verdict | None:
     explains, or a central projection; suspects that a camera model clears.
     """
     everything = np.ones(len(control), dtype=bool)
+    test_of_all = cache(Division(control, everything).shrunken_test)
     by_majority = _majority_and_test(control) if len(control) >= MIN_POINTS else None
     if by_majority is not None:
         max_share = MAX_MINORITY
@@ -216,12 +223,10 @@ def _verdict_on(control: FitData, auto: Auto) -> _Verdict | None:
         predictable = test.strain <= MIN_STRAIN
     else:
         max_share = MAX_BLUNDER_SHARE
-        # A core without blunders first, then all that it predicts: one blunder may hide another.
-        test_of_all = cache(Division(control, everything).shrunken_test)
-        core = _agreeing_core(control, test_of_all)
-        if core is None:
+        agreeing = _agreeing_features(control, test_of_all)
+        if agreeing is None:
             return None
-        used, test = _judge_by_field(control, *_readmit_predicted(control, *core, test_of_all))
+        used, test = _judge_by_field(control, *agreeing)
         predictable = everything
     if not test.by_field:
         used = _with_predicted_by_models(control, auto, used, predictable)
@@ -250,7 +255,44 @@ def _verdict_on(control: FitData, auto: Auto) -> _Verdict | None:
     # Who is suspected by a polynomial may be right by the geometry of the sensor.
     cleared = predictable & _points_a_model_explains(control, auto, ~retained | undecided)
     blunders = ~retained & ~cleared
-    return _Verdict(retained, blunders, blunders & ~(far & decided), undecided & ~cleared, test)
+    polynomial = None
+    if test.by_field:
+        polynomial = (test_of_all() if retained.all()
+                      else Division(control, retained).shrunken_test())
+    return _Verdict(retained, blunders, blunders & ~(far & decided), undecided & ~cleared, test,
+                    polynomial)
+
+
+def _agreeing_features(control: FitData,
+                       test_of_all: TestOfAll) -> tuple[BoolArray, Test] | None:
+    """Return a mask (n,) of features that agree, and their test; None if too few for a test."""
+    if _all_agree(control, test_of_all):
+        test = test_of_all()
+        assert test is not None
+        return np.ones(len(control), dtype=bool), test
+    # A core without blunders first, then all that it predicts: one blunder may hide another.
+    core = _agreeing_core(control, test_of_all)
+    return None if core is None else _readmit_predicted(control, *core, test_of_all)
+
+
+def _all_agree(control: FitData, test_of_all: TestOfAll) -> bool:
+    """Return whether two tests show that no step of the search would find a blunder.
+
+    The points are many. All of them contradict none, and the two thirds that fit best predict all
+    others: a part, which sharpens with each point that it admits, would admit all.
+    """
+    n = len(control)
+    if n < MANY_POINTS or len(control.features.lines):
+        return False
+    test = test_of_all()
+    limit = CLEARLY_WITHIN * MIN_STRAIN
+    if test is None or (test.strain > limit).any():
+        return False
+    core = np.ones(n, dtype=bool)
+    core[np.argsort(-test.strain, kind="stable")[:int(MAX_BLUNDER_SHARE * n)]] = False
+    test_of_core = Division(control, core).shrunken_test()
+    return (test_of_core is not None
+            and bool((_strain_by_all_noise(test_of_core, core) <= limit).all()))
 
 
 def _with_predicted_by_models(control: FitData, auto: Auto, used: BoolArray,
@@ -602,12 +644,7 @@ def _readmit_predicted(control: FitData, used: BoolArray, test: Test, test_of_al
         earlier_sets.add(used.tobytes())
         still_out = ~used & test.beyond_chance(n) & test.beyond_form()
         if not used.all():
-            # The closest features, a share p of all, understate the noise s. The squares
-            # X = r^2 / 2 s^2 of their errors are exponential, and cut off at b = -log(1 - p), so
-            # that their mean is E[X given X < b] = 1 - b (1 - p) / p instead of 1.
-            p = used.sum() / n
-            bound = -np.log1p(-p)
-            strain = test.strain * np.sqrt(1.0 - bound * (1.0 - p) / p)
+            strain = _strain_by_all_noise(test, used)
             chance = chance_of(strain**2, max(2 * int(used.sum()) - 8, 2))
             still_out &= (chance < FALSE_ALARM / n) & (strain > MIN_STRAIN)
         admissible = np.flatnonzero(~used & ~still_out)
@@ -629,6 +666,19 @@ def _readmit_predicted(control: FitData, used: BoolArray, test: Test, test_of_al
         used = next_used
         test = next_test
     return used, test
+
+
+def _strain_by_all_noise(test: Test, used: BoolArray) -> FloatArray:
+    """Return the strain of each feature (n,) by the noise of all, of a test by a part of them.
+
+    Those in use, the mask `used` (n,), are the ones that fit best.
+    """
+    # The closest features, a share p of all, understate the noise s. The squares X = r^2 / 2 s^2 of
+    # their errors are exponential, and cut off at b = -log(1 - p), so that their mean is
+    # E[X given X < b] = 1 - b (1 - p) / p instead of 1.
+    p = used.sum() / len(used)
+    bound = -np.log1p(-p)
+    return np.asarray(test.strain * np.sqrt(1.0 - bound * (1.0 - p) / p))
 
 
 def _points_on_a_bend(control: FitData, used: BoolArray) -> BoolArray:

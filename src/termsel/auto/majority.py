@@ -26,6 +26,7 @@ from typing import Self
 
 import numpy as np
 
+from termsel.adjustment.solve import upper_triangle
 from termsel.adjustment.subset_fits import squared_distances_from_fits
 from termsel.auto.contradictions import Test, polynomial_of
 from termsel.data.features import BoolArray, FloatArray, Points
@@ -65,6 +66,12 @@ STEPS = 30
 
 MAX_SAMPLED_POINTS = 300
 """Points that samples are judged by, where there are more."""
+
+MANY_POINTS = 1000
+"""Points from which on a part of them shows what all do: parts agree closely."""
+
+ENOUGH_AGREEING = 0.75
+"""Share of many points from which on the others, even if all are wrong, are too few to matter."""
 
 ADDED_PART = 40
 """One of so many points is added at a time to those that agree."""
@@ -289,13 +296,17 @@ def _points_agreeing_with(design: FloatArray, image: FloatArray,
     The strain is against the points that agree, 1 being the limit. Starting from the half, the
     closest of the others are added a few at a time, as a blunder among many new points would bend
     the fit towards further ones (forward search, Atkinson and Riani 2000). The search ends before
-    the noise jumps: few points leave so wide a limit that a blunder may lie within it.
+    the noise jumps: few points leave so wide a limit that a blunder may lie within it. Of many
+    points it ends where ENOUGH_AGREEING of them agree, too.
     """
     n = len(half)
     agreeing = half
     added_at_once = max(1, n // ADDED_PART)
     noise_of_half, strains = _noise_and_strains(design, image, half)
     while not agreeing.all():
+        # The rest cannot be a majority of blunders, and each step fits all points once more.
+        if n >= MANY_POINTS and (agreeing & (strains <= 1.0)).mean() >= ENOUGH_AGREEING:
+            break
         order = np.argsort(np.where(agreeing, np.inf, strains), kind="stable")[:added_at_once]
         closest = order[(strains[order] <= 1.0) & ~agreeing[order]]
         if not len(closest):
@@ -330,8 +341,8 @@ def _noise_and_strains(
     noise = float(np.sqrt((distances[used] ** 2).sum() / freedom / understatement))
     # A point in use has the residual variance 1 - h, another the variance of prediction 1 + h, with
     # the leverage h = a' (A'A)^-1 a = |R'^-1 a|^2.
-    triangle = np.linalg.qr(design[used])[1]
-    leverage = (np.linalg.solve(triangle.T, design.T) ** 2).sum(axis=0)
+    inverse = np.linalg.inv(upper_triangle(design[used]))
+    leverage = np.square(design @ inverse).sum(axis=1)
     variance = np.where(used, 1.0 - leverage, 1.0 + leverage).clip(LEAST_VARIANCE)
     limit = t_quantile(NormalDist().cdf(AGREEING_STRAIN), freedom)
     return noise, distances / (limit * np.maximum(noise, LEAST_NOISE) * np.sqrt(variance))
