@@ -95,7 +95,8 @@ def test_a_blunder_is_left_out_with_its_twin() -> None:
 @pytest.mark.parametrize(("shift", "groups"), [(0.9, 24), (1.1, 25)])
 def test_how_near_twins_are(shift: float, groups: int, few: int,
                             monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("termsel.data.roles.MAX_PAIRWISE_PLACES", few)  # others are found by a tree
+    # Twins of more points are found by their order.
+    monkeypatch.setattr("termsel.data.roles.MAX_PAIRWISE_PLACES", few)
     ground = np.array([(x, y, 5.0 * x) for x in range(5) for y in range(5)], dtype=float)
     # Half of the points are between 1 and 3: the spread is 4, the side of a point's square 0.8.
     ground[0] = ground[1] - [0.0, 0.008 * shift, 0.0]
@@ -105,6 +106,23 @@ def test_how_near_twins_are(shift: float, groups: int, few: int,
     above = ground[1] + [0.0, 0.0, 0.2 * shift]
     ground[0] = above
     assert len(set(find_twins(ground))) == groups
+
+
+@pytest.mark.parametrize("places", ["scattered", "in columns", "in one column"])
+def test_twins_of_many_points_are_those_of_all_pairs(
+    places: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(3)
+    ground = rng.uniform(0.0, 1e4, (900, 3))
+    monkeypatch.setattr("termsel.data.roles.MAX_COMPARED_PAIRS", 30_000)
+    if places != "scattered":
+        ground[:, 0] = 500.0 * (np.arange(900) % 30 if places == "in columns" else np.ones(900))
+    ground[100:140] = ground[300:340] + rng.uniform(-5.0, 5.0, (40, 3))
+    found = find_twins(ground)
+    monkeypatch.setattr("termsel.data.roles.MAX_PAIRWISE_PLACES", 900)
+    by_all_pairs = find_twins(ground)
+    assert len(set(by_all_pairs)) < 900
+    np.testing.assert_array_equal(found, by_all_pairs)
 
 
 def test_points_that_are_apart_stay_as_they_are() -> None:

@@ -46,6 +46,9 @@ by the spread of all heights."""
 MAX_PAIRWISE_PLACES = 300
 """Most places that are compared each with each: a tree takes longer to import than to search."""
 
+MAX_COMPARED_PAIRS = 1_000_000
+"""Most pairs of more places, neighbours along X, that are compared without a tree."""
+
 
 def find_twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
     """Return the number of each point's group of twins, (n,), by places on the ground (n, 3).
@@ -84,9 +87,32 @@ def _pairs_nearby(positions: FloatArray) -> IntArray:
         # Squared distances of all pairs, each pair once above the diagonal.
         square = sum((axis[:, None] - axis) ** 2 for axis in positions.T)
         return np.argwhere(np.triu(square <= 1.0, 1))
-    from scipy.spatial import KDTree
+    pairs = _pairs_along_line(positions)
+    if pairs is not None:
+        return pairs
+    from scipy.spatial import KDTree  # only here, as it takes 0.3 s to import
 
     return np.asarray(KDTree(positions).query_pairs(1.0, output_type="ndarray"))
+
+
+def _pairs_along_line(positions: FloatArray) -> IntArray | None:
+    """Return the pairs of positions (n, 3) that are at most 1 apart, (p, 2), by an order along X.
+
+    Returns None where too many are within 1 of each other along X, as those of one column may be.
+    """
+    order = np.argsort(positions[:, 0], kind="stable")
+    ordered = positions[order]
+    # The neighbours of a position are the next ones in this order, up to 1 away.
+    n = len(positions)
+    following = (np.searchsorted(ordered[:, 0], ordered[:, 0] + 1.0, side="right")
+                 - np.arange(1, n + 1))
+    if following.sum() > MAX_COMPARED_PAIRS:
+        return None
+    first = np.repeat(np.arange(n), following)
+    second = first + 1 + np.arange(len(first)) - np.repeat(np.cumsum(following) - following,
+                                                           following)
+    is_near = ((ordered[second] - ordered[first]) ** 2).sum(axis=1) <= 1.0
+    return np.asarray(np.sort(order[np.column_stack([first, second])[is_near]], axis=1))
 
 
 def with_merged_twins(features: FeatureSet) -> FeatureSet:
