@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.adjustment.solve import solve
+from termsel.adjustment.solve import solve, upper_triangle
 from termsel.auto.methods import METHODS
 from termsel.data.features import FeatureSet, Lines, Points, empty_lines, empty_points
 from termsel.data.scaling import make_scaling
@@ -342,3 +342,17 @@ def test_a_file_that_does_not_exist_is_no_set_of_features() -> None:
     with pytest.raises(termsel.TermselError, match=r"gcps\.csv: this file does not exist"):
         termsel.fit("gcps.csv")
     assert len(termsel.simulate_scene("ikonos-hamedan").points.take([])) == 0
+
+
+@pytest.mark.parametrize("rows", [3, 40, 5000, 40_001])
+@pytest.mark.parametrize("condition", [1.0, 1e9])
+def test_the_triangle_of_many_rows_is_that_of_all(rows: int, condition: float) -> None:
+    rng = np.random.default_rng(rows)
+    columns = rng.normal(size=(rows, 12)) @ (np.geomspace(1.0, 1.0 / condition, 12)[:, None]
+                                             * np.linalg.qr(rng.normal(size=(12, 12)))[0])
+    found = upper_triangle(columns)
+    expected = np.linalg.qr(columns, mode="r")
+    assert not np.tril(found, -1).any()
+    np.testing.assert_allclose(*(np.abs(np.diag(r)) for r in (found, expected)), rtol=1e-6)
+    np.testing.assert_allclose(found.T @ found, expected.T @ expected,
+                               atol=1e-12 * np.abs(expected).max() ** 2)

@@ -280,6 +280,16 @@ def test_columns_are_orthogonal_whatever_their_condition(condition: float) -> No
     assert not np.tril(r, -1).any()
 
 
+def test_few_columns_of_many_rows_are_orthogonal_too() -> None:
+    columns = np.vander(np.linspace(-1.0, 1.0, 5000), 8)
+    q, r = orthogonal_factors(columns)
+    np.testing.assert_allclose(q.T @ q, np.eye(8), atol=1e-13)
+    np.testing.assert_allclose(q @ r, columns, atol=1e-13)
+    columns[:, 3] = columns[:, 5]  # dependent
+    q, r = orthogonal_factors(columns)
+    np.testing.assert_allclose(q @ r, columns, atol=1e-13)
+
+
 @pytest.mark.parametrize("sigma", [False, True])
 def test_a_field_without_each_point_is_the_field_of_the_others(sigma: bool) -> None:
     points = scattered(25, sigma=sigma)

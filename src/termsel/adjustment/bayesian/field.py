@@ -38,6 +38,7 @@ import numpy as np
 
 from termsel.adjustment.bayesian.held_out import HeldOutPredictions
 from termsel.adjustment.bayesian.kernels import (
+    batches_of,
     farthest_points,
     spline_field,
     squared_distances,
@@ -172,6 +173,9 @@ NEGLIGIBLE_PROBABILITY = 1e-6
 GROUND_BATCH = 2000
 """Places whose covariances are held in memory."""
 
+PLACES_AT_ONCE = 512
+"""Places whose covariances with all knots a cache holds."""
+
 COVARIANCE_JITTER = 1e-10
 """Part of the field's variance that is added, so that covariances of close points can be
 decomposed."""
@@ -282,8 +286,7 @@ class GaussianProcess:
         # Fields live in the image: the distance between points there is what shows how alike they
         # are.
         positions = columns[:, :len(self.to_image)] @ self.to_image
-        for start in range(0, len(ground), GROUND_BATCH):
-            batch = slice(start, start + GROUND_BATCH)
+        for batch in batches_of(len(ground), PLACES_AT_ONCE):
             for lengths, weights in fields:
                 image[batch] += _covariances_with_knots(
                     positions[batch], self.knots, lengths) @ weights
@@ -401,17 +404,19 @@ def _cached_gaussian_process(measurements: Measurements, variables: int) -> Gaus
     shrunk_columns = columns[:, variables + 1:]
     # Then the solutions with fields of all lengths, as one stack where points are few.
     at_once = len(FIELD_LENGTHS) if knots is positions else 1
+    # One array for all of them, as it is the largest.
+    shrunken = np.empty((at_once, len(positions), len(shrunk) + len(knots)))
+    shrunken[..., :len(shrunk)] = shrunk_columns
     for start in range(0, len(FIELD_LENGTHS), at_once):
         batch = FIELD_LENGTHS[start:start + at_once]
         covariances = np.array([_covariances_with_knots(knots, knots, lengths)
                                 for lengths in batch])
         whitenings = _whitening_matrices(covariances)
-        if knots is not positions:
-            covariances = np.array([_covariances_with_knots(positions, knots, lengths)
-                                    for lengths in batch])
-        shrunken = np.concatenate([
-            np.broadcast_to(shrunk_columns, (len(batch), *shrunk_columns.shape)),
-            covariances @ whitenings.swapaxes(1, 2)], axis=2)
+        if knots is positions:
+            np.matmul(covariances, whitenings.swapaxes(1, 2), out=shrunken[..., len(shrunk):])
+        else:
+            _fill_field_columns(shrunken[0, :, len(shrunk):], positions, knots, batch[0],
+                                whitenings[0])
         grids = solve_posteriors(affine_columns, shrunken, points.image, weights, scales,
                                  len(shrunk))
         if grids is None:
@@ -511,8 +516,19 @@ def _columns_with_field(columns: FloatArray, positions: FloatArray, knots: Float
     """
     if lengths is None:
         return columns
-    return np.concatenate(
-        [columns, _covariances_with_knots(positions, knots, lengths) @ whitening.T], axis=1)
+    n, k = columns.shape
+    columns_with_field = np.empty((n, k + len(whitening)))
+    columns_with_field[:, :k] = columns
+    _fill_field_columns(columns_with_field[:, k:], positions, knots, lengths, whitening)
+    return columns_with_field
+
+
+def _fill_field_columns(field_columns: FloatArray, positions: FloatArray, knots: FloatArray,
+                        lengths: tuple[float, float], whitening: FloatArray) -> None:
+    """Fill in the columns that span a field at places (n, 2), `field_columns` (n, c)."""
+    for batch in batches_of(len(positions), PLACES_AT_ONCE):
+        np.matmul(_covariances_with_knots(positions[batch], knots, lengths), whitening.T,
+                  out=field_columns[batch])
 
 
 def _whitening_matrices(covariances: FloatArray) -> FloatArray:
