@@ -160,6 +160,14 @@ def test_a_fault_of_a_class_of_the_session_is_no_bug_of_a_plugin() -> None:
     (lambda: termsel.search(None, "ga"), "expected a termsel.Problem"),
     (lambda: termsel.read(TABLE, crs={"proj": "utm"}), "crs=pyproj.CRS(DICT)"),
     (lambda: termsel.read(TABLE, crs=4979, rpc_offset="left"), "rpc_offset='700,900'"),
+    (lambda: FIT.project(SCENE), "ground=features.points.ground"),
+    (lambda: FIT.project(POINTS), "ground=points.ground"),
+    (lambda: FIT.project({"x": [1.0], "y": [2.0]}), "pandas.DataFrame(DICT)[['x', 'y', 'z']]"),
+    (lambda: FIT.locate([10.0, 20.0], 5.0), "[[line, sample]]"),
+    (lambda: termsel.fit(SCENE, "auto"), "termsel.run(features=FEATURES) chooses"),
+    (lambda: termsel.prepare(SCENE), "Points and lines are features=FEATURES"),
+    (lambda: termsel.assess("affine", SCENE), "termsel.get('methods', NAME)"),
+    (lambda: termsel.Search("poly-terms", "ga"), "settings is 'ga', expected a dict"),
     (lambda: POINTS.take(["P001"]), "'P001' is no row"),
     (lambda: POINTS.take([True, False]), "the mask has shape (2,), expected (20,)"),
     (lambda: POINTS.take([99]), "there is no row 99"),
@@ -177,6 +185,9 @@ def test_a_value_of_another_kind_is_told_what_to_give(
     (lambda: SCENE.head, "features.points.to_pandas()"),
     (lambda: SCENE.to_crs, "TABLE.to_crs(CRS)"),
     (lambda: termsel.TermSelector, "Write: from termsel_sklearn import TermSelector."),
+    (lambda: termsel.rpc_of(FIT).project, "The RPC does it: .rpc.project(places)"),
+    (lambda: termsel.rpc_of(FIT).rpc.LINE_OFF, "It is in rpc.image_offset"),
+    (lambda: FIT.held_out().rmse, "held_out.squares.mean()"),
     (lambda: termsel.sklearn, "Write: import termsel_sklearn."),
     (lambda: setattr(SCENE, "crs", "EPSG:32639"), "dataclasses.replace(features, crs=VALUE)"),
     (lambda: setattr(POINTS, "image", 1), "dataclasses.replace(points, image=VALUE)")])
@@ -190,6 +201,13 @@ def test_a_class_of_the_kind_is_corrected_and_no_other_is_proposed() -> None:
     blank = type("Blank", (termsel.Polynomial2D,), {"__doc__": "Blank.", "name": "my model"})
     with pytest.raises(termsel.TermselError, match=r"blanks and colons\. Correct the class\."):
         termsel.fit(SCENE, blank)
+
+
+def test_points_of_shapely_are_given_by_their_coordinates() -> None:
+    shapely = pytest.importorskip("shapely")
+    for shapes in (shapely.Point(48.5, 34.8), [shapely.Point(48.5, 34.8)]):
+        with pytest.raises(termsel.TermselError, match=r"ground=shapely\.get_coordinates\(SHAPES"):
+            FIT.project(shapes)
 
 
 def test_options_by_position_are_told_by_name() -> None:

@@ -143,6 +143,8 @@ def test_messages_to_python_name_arguments_and_no_options(tmp_path: Path) -> Non
     ("Leave --crs out, or state --crs EPSG:4979.", "Leave crs out, or state crs='EPSG:4979'."),
     ("Give --dem FILE or --height 12.5.", "Give termsel.read(TABLE, dem=FILE) or height=12.5."),
     ("Add --set swapped=xy; --no-final takes it", "Add swapped='xy'; final=False takes it"),
+    ("Give the role by --role ID=control, or measure.", "Give the role by role='ID=control', or "
+                                                        "measure."),
     ("Of many: termsel compare --points 'a/*.csv' --out DIR. Leave --points out.",
      "Of many: termsel compare --points 'a/*.csv' --out DIR. Leave features out.")])
 def test_options_become_arguments(text: str, words: str) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import types
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
@@ -164,7 +165,7 @@ def _first_no_number(value: object) -> str:
     """Return where an array has something that is no number, and what; "" if that is not known."""
     try:
         cells = np.asarray(value, dtype=object)
-    except ValueError:  # rows of several lengths
+    except (TypeError, ValueError):  # no rows, or rows of several lengths
         return ""
     for place, cell in np.ndenumerate(cells):
         if not _is_numeric(cell):
@@ -193,6 +194,8 @@ MADE_BY = {
     "a termsel.Problem": "termsel.prepare('poly-terms', features=FEATURES).problem is one.",
     "a termsel.Solver": "termsel.GeneticAlgorithm() is one; termsel.get('solvers', NAME)() makes "
                         "one by its name.",
+    "a termsel.Method": "termsel.get('methods', NAME) is one by its name, termsel.Auto() another.",
+    "a termsel.Task": "termsel.prepare('poly-terms', features=FEATURES) makes one.",
     "a termsel.Lines": "termsel.read(lines=FILE).lines makes one.",
     "a termsel.Result": "termsel.run(features=FEATURES) or termsel.read_result(DIR) makes one.",
     "a termsel.Fit": "termsel.fit(FEATURES) makes one, and the fit of a result is one."}
@@ -212,6 +215,12 @@ def remedy_for(name: str, value: object, kind: Kind) -> str:
         return "Write crs=CRS.to_wkt(), with this object as CRS."
     if name in _COLUMNS and hasattr(value, "columns"):
         return f"Give its columns, such as {name}=TABLE[{_COLUMNS[name]}]."
+    if name in _COLUMNS and (remedy := _as_places(name, value)):
+        return remedy
+    if isinstance(value, Enum):
+        return f"Write {name}={value.name!r}."
+    if name == "problem" and (hasattr(value, "points") or hasattr(value, "columns")):
+        return "Points and lines are features=FEATURES."
     if name in _COLUMNS and isinstance(value, str | PathLike):
         return (f"Read the file first: {name}=pandas.read_csv({str(value)!r}, "
                 f"comment='#')[{_COLUMNS[name]}].")
@@ -222,6 +231,20 @@ def remedy_for(name: str, value: object, kind: Kind) -> str:
     if name in ("model", "method") and (remedy := _as_model(name, value)):
         return remedy
     return MADE_BY.get(kind.words, "")
+
+
+def _as_places(name: str, value: object) -> str:
+    """Return how features, geometries or a dict are given as an array of places; "" for others."""
+    if hasattr(value, "points"):
+        return f"Give their coordinates: {name}=features.points.{name}."
+    if hasattr(value, "image") and hasattr(value, "ground"):
+        return f"Give their coordinates: {name}=points.{name}."
+    first = next(iter(value), None) if isinstance(value, Iterable) else value
+    if hasattr(first, "geom_type"):
+        return f"Give their coordinates: {name}=shapely.get_coordinates(SHAPES, include_z=True)."
+    if isinstance(value, Mapping):
+        return f"Give its columns: {name}=pandas.DataFrame(DICT)[{_COLUMNS[name]}]."
+    return ""
 
 
 def _as_file(name: str, value: object) -> str:

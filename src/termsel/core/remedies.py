@@ -79,7 +79,7 @@ _COMMAND = re.compile(r"(?:\btermsel [a-z]|\bgdal|\bogr2ogr |\bpip ).*?(?=[.;:,)
 
 _OPTION = re.compile(
     r"--(?P<name>[a-z][a-z-]*)"
-    r"(?:[ =](?P<value>'[^']*'|\"[^\"]*\"|[A-Z][A-Z0-9]*(?:[:=,][^\s.;)]+)?(?![a-z])"
+    r"(?:[ =](?P<value>'[^']*'|\"[^\"]*\"|[A-Z][A-Z0-9]*(?:[:=,][^\s.;)]*[^\s.,;)])?(?![a-z])"
     r"|[a-z_]\w*=[^\s.;)]*[^\s.,;)]|[\w/~.+-]*[\d/](?:[\w/.,+:-]*\w)?|auto\b|local\b))?")
 """An option, with its value where one follows: in quotation marks, a placeholder, a name with a
 digit or of a file, or one of few words."""

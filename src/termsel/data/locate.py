@@ -48,7 +48,8 @@ def locate(
     """
     image = np.asarray(image, dtype=np.float64)
     if image.ndim != 2 or image.shape[1] != 2:
-        raise TermselError(f"image points have shape {image.shape}, expected (n, 2)")
+        raise TermselError(f"image points have shape {image.shape}, expected (n, 2)",
+                           hint="Give line and sample of each place, [[line, sample]].")
     middle = np.asarray(centre, dtype=np.float64)
     unit = np.asarray(scale, dtype=np.float64)
     ground = np.tile(middle, (len(image), 1))

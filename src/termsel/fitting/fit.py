@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from termsel.adjustment.equations import has_unlike_weights, line_normals, weights_of
 from termsel.adjustment.interpolation import Interpolation
 from termsel.adjustment.solve import ROUNDING, Adjustment
-from termsel.core.arguments import CALLED_LOCATE, CALLED_PROJECT, explains_arguments
+from termsel.core.arguments import CALLED_LOCATE, CALLED_PROJECT, Explained, explains_arguments
 from termsel.core.display import Glance
 from termsel.core.errors import TermselError, shown_value
 from termsel.core.threads import one_blas_thread
@@ -195,7 +195,7 @@ FIXED_COEFFICIENTS = FixedCoefficients()
 
 
 @dataclass(frozen=True, eq=False)
-class HeldOut:
+class HeldOut(Explained):
     """Errors of control features in use under the same procedure without them.
 
     Parameters
@@ -214,6 +214,10 @@ class HeldOut:
     >>> round(float(fitted.held_out().squares.mean()**0.5), 1)  # RMSE of left-out points [px]
     14.9
     """
+
+    elsewhere: ClassVar[Mapping[str, str]] = {
+        "rmse": "It is numpy.sqrt(held_out.squares.mean()).",
+        "[]": "Of each feature: held_out.squares; of each point or vertex: held_out.errors."}
 
     squares: FloatArray
     errors: FloatArray | None = None

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
-from termsel.core.arguments import explains_arguments
+from termsel.core.arguments import CALLED_LOCATE, CALLED_PROJECT, Explained, explains_arguments
 from termsel.core.errors import TermselError
 from termsel.data.coordinates.crs import WGS84, normalise, to_wgs84
 from termsel.data.coordinates.longitudes import nearest_longitudes
@@ -42,7 +43,7 @@ _MIN_DENOMINATOR = 0.05  # of a denominator, which is 1 in the middle
 
 
 @dataclass(frozen=True)
-class RpcFit:
+class RpcFit(Explained):
     """An RPC and its distance from the model it replaces.
 
     `how` is "exact" if it was taken over as it is, "its own" if the model knows it; else the terms
@@ -52,6 +53,11 @@ class RpcFit:
     of an oblique image the RPC does not follow; `heights` are the least and the largest that it was
     refitted to, None where it was taken over.
     """
+
+    elsewhere: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(("project", *CALLED_PROJECT), "The RPC does it: .rpc.project(places)."),
+        **dict.fromkeys(("locate", *CALLED_LOCATE), "The fit does it: fit.locate(image, heights)."),
+        "[]": "Its RPC is .rpc."}
 
     rpc: Rpc
     how: str

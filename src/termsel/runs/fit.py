@@ -74,6 +74,10 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel | Method = "
         names = registry()
         # A model comes before a method of the same name: it has options.
         resolved = names.known("models", model) or names.known("methods", model)
+        if model == "auto":
+            raise TermselError("'auto' is the choice of a model, and fit takes one",
+                               hint="termsel.run(features=FEATURES) chooses, and returns a result: "
+                                    "its fit is result.fit.")
         if resolved is None:
             raise unknown_name_error("model", model,
                                      {*names.names("models"), *names.names("methods")},

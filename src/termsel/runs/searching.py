@@ -17,7 +17,7 @@ from termsel.auto.compare import compare_robustly
 from termsel.auto.memory import Memory
 from termsel.auto.refits import held_out_by_refits
 from termsel.auto.shrunken import RidgeByOrder
-from termsel.core.errors import TermselError, unknown_name_error
+from termsel.core.errors import TermselError, shown_value, unknown_name_error
 from termsel.core.files.names import CERTIFICATE
 from termsel.core.isolation.faults import HINT, fault_of_method
 from termsel.data.features import BoolArray, select
@@ -83,6 +83,9 @@ class Search(TaskMethod):
                  settings: Mapping[str, Any] | None = None,
                  limits: Mapping[str, Any] | None = None) -> None:
         super().__init__("search", "a search")
+        if settings is not None and not isinstance(settings, Mapping):
+            raise TermselError(f"settings is {shown_value(settings)}, expected a dict",
+                               hint="Such as {'solver': 'ga', 'options': {'degree': 2}}.")
         self.__dict__.update(problem=problem, settings=settings or {}, limits=limits or {})
 
     def fit(self, data: FitData) -> Fit:
