@@ -23,7 +23,7 @@ from termsel.core.files.drivers import (
     gdal_options,
     keep_own_drivers_only,
     raster_drivers,
-    without_exceptions,
+    without_proxy_exceptions,
 )
 from termsel.core.files.names import (
     is_there,
@@ -206,7 +206,7 @@ def _open_here(path: Path | str, sources: list[str]) -> Iterator[Any]:
     import rasterio
 
     drivers = [name for name in raster_drivers() if name != "VRT" or drivers_are_off()]
-    with (without_exceptions(), rasterio.Env(**gdal_options()), utf8_name(path) as name,
+    with (without_proxy_exceptions(), rasterio.Env(**gdal_options()), utf8_name(path) as name,
           _quiet_about_encodings(), np.errstate(over="ignore")):
         # np.errstate is for rasterio, which compares a nodata value with what the type can hold.
         with warnings.catch_warnings():

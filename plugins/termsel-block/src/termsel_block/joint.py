@@ -459,9 +459,9 @@ def _control_positions(block: Block) -> tuple[FloatArray, BoolArray, list[IntArr
         ground = np.concatenate([points.ground, lines.ground.reshape(-1, 3)])
         ids = [*points.ids, *np.repeat(lines.ids, 2).tolist()]
         tables.append(np.column_stack([ground, [name not in image.of_dem for name in ids]]))
-        at = count + np.arange(len(ground))
+        numbers = count + np.arange(len(ground))
         # As in `control_equations`: two rows of a point, one of each vertex of a line.
-        rows.append(np.concatenate([np.repeat(at[:len(points)], 2), at[len(points):]]))
+        rows.append(np.concatenate([np.repeat(numbers[:len(points)], 2), numbers[len(points):]]))
         count += len(ground)
     # Control that several images see counts once.
     unique_control, index = np.unique(np.concatenate(tables), axis=0, return_inverse=True)

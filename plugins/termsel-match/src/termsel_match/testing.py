@@ -56,10 +56,10 @@ def stays_within_the_windows(matcher: Matcher) -> None:
     matches = _valid_matches(matcher, Window(first.pixels, is_known, first.origin), second)
     for positions, window, name in ((matches.first, Window(first.pixels, is_known), "first"),
                                     (matches.second, second, "second")):
-        at = np.round(positions).astype(int)
-        require(((at >= 0) & (at < window.known.shape)).all(),
+        pixels = np.round(positions).astype(int)
+        require(((pixels >= 0) & (pixels < window.known.shape)).all(),
                 f"places are beyond the {name} window")
-        require(window.known[tuple(at.T)].all(), f"places of the {name} window have no data")
+        require(window.known[tuple(pixels.T)].all(), f"places of the {name} window have no data")
 
 
 def nothing_where_nothing_is(matcher: Matcher) -> None:

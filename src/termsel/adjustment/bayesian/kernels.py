@@ -87,9 +87,10 @@ class SplineColumns:
                 spline_kernel(self.knots, self.knots) @ self.root)
 
     def __call__(self, positions: FloatArray) -> FloatArray:
-        """Return the columns at places, shape (m, k)."""
+        """Return the columns (m, k) at places (m, 2)."""
         if self.root is None:
             return spline_kernel(positions, self.knots)
+        # K B - P P_knots^+ K_knots B: kernels around the knots, without their affine part there.
         affine = _affine_columns(positions)
         kernels = spline_kernel(positions, self.knots)
         columns = kernels @ self.root if self._triangle is None else self._triangle.times(kernels)

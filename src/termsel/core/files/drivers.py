@@ -194,7 +194,7 @@ def program_environment(before: Mapping[str, str]) -> dict[str, str]:
 
 
 @contextmanager
-def without_exceptions() -> Iterator[None]:
+def without_proxy_exceptions() -> Iterator[None]:
     """Take out the variables by which curl asks some hosts without a proxy, during a block.
 
     All threads of the process do without them. Nothing is changed where servers are allowed.

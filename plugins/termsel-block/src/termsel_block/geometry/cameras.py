@@ -364,14 +364,14 @@ class PolynomialCamera(LinearCamera):
         step = 1e-4 * self.half_image
         slopes = split_by_axis(parameters)[self._slopes]
         # The ray depends on the terms of degree 1 alone: central differences of the forms by these.
-        for axis, (k, at) in product(range(2), enumerate(self._slopes)):
+        for axis, (k, term) in product(range(2), enumerate(self._slopes)):
             ahead = slopes.copy()
             behind = slopes.copy()
             ahead[k, axis] += step
             behind[k, axis] -= step
             form_slope = (self._quadratic_forms(ahead)
                           - self._quadratic_forms(behind)) / (2 * step)
-            derivatives[:, :, axis * m + at] += np.einsum(
+            derivatives[:, :, axis * m + term] += np.einsum(
                 "ni,aij,nj->na", scaled, form_slope, scaled)
         return derivatives
 

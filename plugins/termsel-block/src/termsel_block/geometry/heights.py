@@ -237,18 +237,19 @@ class Heights:
         """
         self.far = abs(self.offset)
         all_seen = self.tie_observations(ties)
-        at = is_seen & all_seen.joint
-        row = all_seen.row[at]
-        away = all_seen.away[at]
+        is_used = is_seen & all_seen.joint
+        row = all_seen.row[is_used]
+        away = all_seen.away[is_used]
         # The variance of each height over the surface, by that of its position.
-        variance = np.einsum("ti,tij,tj->t", row, covariance[at], row)
+        variance = np.einsum("ti,tij,tj->t", row, covariance[is_used], row)
         # The weight of a tie's prior, lowered in `tie_observations`, is replaced by the full one.
-        precision = np.maximum(1 / variance - all_seen.weight[at], 0.0) + self.sigma**-2
+        precision = np.maximum(1 / variance - all_seen.weight[is_used], 0.0) + self.sigma**-2
         # The expected square of a height is residual^2 + variance; those of control are known.
         square = np.concatenate([away**2 + 1 / precision, (self.control - self.offset) ** 2])
         if not len(square):
             return
         # Squares are limited, so that a tower or a hole does not make the ground rough.
+        # sigma^2 = (sum of squares + n0 s0^2) / (n + n0): the usual s0 is n0 more heights.
         largest_square = (_OUTLYING * _MAD) ** 2 * float(np.median(square))
         self.sigma = max(float(np.sqrt(
             (np.minimum(square, largest_square).sum() + _PRIOR_COUNT * self._usual_roughness**2)

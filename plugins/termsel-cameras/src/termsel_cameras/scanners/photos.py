@@ -168,8 +168,8 @@ class Photo(Physical):
         """Return how far the eastern edge of the control is from its middle [m]."""
         return _ground_extent_of(require_scaling(self.scaling), self.crs)
 
-    def seen(self, x: dict[str, FloatArray], ground: FloatArray,
-             ray: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def in_camera_axes(self, x: dict[str, FloatArray], ground: FloatArray,
+                       ray: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return ground points in the axes of p cameras (p, n, 3), and focal lengths (p, 1).
 
         The axes are along lines, samples and the view, and lengths are divided by the depth of the
@@ -301,7 +301,7 @@ class FrameCamera(Photo):
         focal = FOCAL_PRIOR * np.exp(FOCAL_SPREAD * x["focal"])
         # The middle of the control need not be seen at the principal point.
         ray = np.column_stack([middle / focal[:, None], np.ones(len(focal))])
-        in_camera, focal = self.seen(x, ground, ray)
+        in_camera, focal = self.in_camera_axes(x, ground, ray)
         # Central projection: NaN behind the camera.
         ideal = focal[..., None] * in_camera[..., :2] / np.where(
             in_camera[..., 2:] > 0, in_camera[..., 2:], np.nan)
@@ -354,7 +354,7 @@ class Panoramic(Photo):
         """Return scaled positions on the film (p, n, 2), about where the middle is seen."""
         focal = FOCAL_PRIOR * np.exp(FOCAL_SPREAD * x["focal"])
         slit, angle = (MIDDLE * x[name] / focal for name in ("middle-line", "middle-sample"))
-        in_camera, focal = self.seen(x, ground, np.stack(
+        in_camera, focal = self.in_camera_axes(x, ground, np.stack(
             [slit, np.sin(angle), np.cos(angle)], axis=1))
         # The film is a cylinder: across the track angles are lengths.
         across = np.arctan2(in_camera[..., 1], in_camera[..., 2])

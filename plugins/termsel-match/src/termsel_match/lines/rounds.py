@@ -170,25 +170,25 @@ def iterate_lines(
         As `match_lines`; or if the model is wrong, as for fewer than half of the pieces the
         clearest band within 40 px is where the model projects the vector.
     """
-    at = start if isinstance(start, Start) else start_of(start, Path(image))
-    if at is None:
+    start_of_round = start if isinstance(start, Start) else start_of(start, Path(image))
+    if start_of_round is None:
         raise without_start(Path(image))
     rounds: list[Round] = []
     reach = search
     while True:
-        candidates = match_lines(image, vectors, dem=dem, start=at, search=reach, band=band,
-                                 progress=progress)
-        agreement = _agreement_among(candidates, model, options, at, search=reach,
+        candidates = match_lines(image, vectors, dem=dem, start=start_of_round, search=reach,
+                                 band=band, progress=progress)
+        agreement = _agreement_among(candidates, model, options, start_of_round, search=reach,
                                      half_at=_HALF_AT[bool(rounds)], seed=seed)
         # A model that the relief has replaced is replaced for all further rounds.
         model, options = agreement.model, agreement.options
-        rounds.append(agreement.round_from(at, reach))
+        rounds.append(agreement.round_from(start_of_round, reach))
         settled = rounds[-1].moved < _SETTLED_MOVE
         if settled or len(rounds) == _MAX_ROUNDS:
             break
         # The model is better now, and a narrower search finds fewer wrong bands.
         reach = min(reach, max(_NARROWEST, reach / _NARROWER))
-        at = agreement.start
+        start_of_round = agreement.start
     # A wide search from the model shows whether it is right: then the clearest bands are next to
     # it.
     confirmed = are_bands_in_place(image, vectors, agreement.start, dem=dem,
