@@ -161,7 +161,7 @@ def page(cases: list[Verdict], size: int) -> str:
     newline, ends = "\n", Counter(case.end for case in good)
     first = "" if min(len(bad), len(good)) >= 200 else \
         "These are the first cases of 200 bad and 200 good ones. "
-    return f"""# Verdicts on bad references
+    return f"""# Bad references: refused or remarked on
 
 `termsel auto-georeference` on {len(bad)} rendered places with a fault, and {len(good)} without.
 Images have {size} x {size} px; the vendor's RPC is 30 px off, in good cases 5 to 40 px. A bad case

@@ -180,7 +180,7 @@ def about(kind: str, entry: Entry) -> list[tuple[str, str]]:
     if kind == "solvers":
         return [*package, ("Objectives", f"at most {thing.max_objectives}"),
                 ("Ends", "by itself" if thing.ends_by_itself else "with the budget"),
-                ("Departures", " ".join(thing.departures))]
+                ("Differences from the paper", " ".join(thing.departures))]
     return package
 
 

@@ -98,7 +98,7 @@ def test_the_reason_states_the_figures_that_decided(
     assert found.method.name == chosen
     cubic = by_shrunken("regularised-cubic", "regularised-quadratic", judged)
     assert found.reason.startswith(
-        "regularised cubic predicts left-out points "
+        "Regularised cubic predicts left-out points "
         f"{advantage_in_words(cubic, 'regularised quadratic')}{requirement_in_words(cubic, 1)}. ")
     against = "regularised-cubic" if cubic > 1 else "regularised-quadratic"
     rival, gain = max(((name, by_shrunken(name, against, judged)) for name in judged

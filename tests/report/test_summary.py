@@ -7,6 +7,8 @@ from typing import Any
 import pytest
 
 import termsel
+from termsel.results.charts.search import with_unit
+from termsel.results.verdict import criterion_in_words
 from tests.records import (
     added,
     baseline,
@@ -31,9 +33,10 @@ from tests.records import (
     (share(0.67), [
         "Limit: 0.67 terms per equation; --set max_share=1 removes it"]),
     ({"polish": {"found": 1.23456, "polished": 1.1, "evaluations": 1500, "lookups": 0}}, [
-        "Local refinement: press 1.235 as ga found it, 1.1 after it (1,500 evaluations)"]),
+        "Local refinement: leave-one-out RMSE 1.235 as ga found it, 1.1 after it (1,500",
+        "evaluations)"]),
     ({"polish": {"found": 2.0, "polished": 2.0, "evaluations": 1, "lookups": 0}}, [
-        "Local refinement: press 2 as ga found it, 2 after it (1 evaluation)"]),
+        "Local refinement: leave-one-out RMSE 2 as ga found it, 2 after it (1 evaluation)"]),
     ({"notes": ["One note.", "Another."]}, ["Note: One note.", "Note: Another."])])
 def test_lines_about_the_search(changed: dict[str, Any], lines: list[str]) -> None:
     assert added(**changed) == lines
@@ -183,9 +186,9 @@ FRONT = [member(["line:1"], 2.5, 1, None), member(["line:1", "line:X"], 1.5, 2, 
 def test_a_front_marks_the_selection() -> None:
     assert added(front=FRONT) == [
         "Pareto front",
-        "   terms  press  independent check [px]",
-        "       1    2.5                       -",
-        "->     2    1.5                    1.25"]
+        "   terms  leave-one-out RMSE  independent check [px]",
+        "       1                 2.5                       -",
+        "->     2                 1.5                    1.25"]
 
 
 def test_a_front_says_what_is_proven_of_each_size() -> None:
@@ -199,11 +202,11 @@ def test_a_front_says_what_is_proven_of_each_size() -> None:
         sized(5, 1.8, False, False, 1.4, 0.3), sized(6, 1.4, True, False, 0.4, 2.5),
         sized(7, 1.9, False, False, 1.4, 0.3), sized(8, 1.3, True, False, None, None)]) == [
         "Pareto front",
-        "terms  press  independent check [px]  best of its size",
-        "    1    2.5                       -  proven",
-        "    2    1.5                       -  gap at most 25.00 %",
-        "    6    1.4                       -  at most 3.5 times the optimum",
-        "    8    1.3                       -  not proven",
+        "terms  leave-one-out RMSE  independent check [px]  best of its size",
+        "    1                 2.5                       -  proven",
+        "    2                 1.5                       -  gap at most 25.00 %",
+        "    6                 1.4                       -  at most 3.5 times the optimum",
+        "    8                 1.3                       -  not proven",
         "Proven: the best selection of 3, 4 and 7 terms is no better than that of fewer.",
         "Not proven: a selection of 5 terms may still be better than that of fewer."]
 
@@ -264,7 +267,7 @@ def test_coefficients_that_correlate() -> None:
     ("all-terms", "check-rmse", "Accuracy: the RMSE at independent check points."),
     ("ridge", "check-rmse", "Accuracy: the RMSE at independent check points."),
     ("random", "press",
-     "The search minimised press. Accuracy: the RMSE at independent check points."),
+     "The search minimised the leave-one-out RMSE. Accuracy: the RMSE at independent check"),
     ("random", "check-rmse", "The search minimised the RMSE at selection points, so it is "
                              "optimistic; the accuracy is")])
 def test_check_is_called_the_fitness_where_it_was_minimised(solver: str, criterion: str,
@@ -272,3 +275,12 @@ def test_check_is_called_the_fitness_where_it_was_minimised(solver: str, criteri
     result = termsel.run("rfm-terms", strategy="as-asked", solver=solver, criterion=criterion,
                          evaluations=60)
     assert says in result.summary(verbose=True).splitlines()
+
+
+@pytest.mark.parametrize(("criterion", "words", "axis"), [
+    ("check-rmse", "selection RMSE", "selection RMSE [px]"),
+    ("press", "leave-one-out RMSE", "leave-one-out RMSE [px]"),
+    ("ebic", "ebic", "ebic"), ("largest-error", "largest-error", "largest-error")])
+def test_a_criterion_has_the_words_of_the_field(criterion: str, words: str, axis: str) -> None:
+    assert criterion_in_words(criterion) == words
+    assert with_unit(criterion) == axis

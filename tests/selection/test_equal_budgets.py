@@ -90,7 +90,7 @@ def test_a_refinement_is_part_of_the_budget_of_any_solver(solver: str) -> None:
     assert result.evaluations <= 2000
     assert result.evaluations - result.polish.evaluations == 500
     assert result.polish.polished <= result.polish.found
-    assert "Local refinement: check-rmse" in result.summary(verbose=True)
+    assert "Local refinement: selection RMSE" in result.summary(verbose=True)
 
 
 def test_the_own_run_of_a_problem_refines_and_says_so() -> None:
@@ -99,7 +99,7 @@ def test_the_own_run_of_a_problem_refines_and_says_so() -> None:
         "polish": True, "tolerance": next(o.default for o in SEARCH_OPTIONS
                                           if o.name == "tolerance")}
     assert result.to_dict()["polish"]["evaluations"] > 0
-    assert "Local refinement: check-rmse" in result.summary(verbose=True)
+    assert "Local refinement: selection RMSE" in result.summary(verbose=True)
     without = termsel.run("owdis-points", generations=2, options={"polish": False})
     assert without.polish is None
     assert "Local refinement" not in without.summary(verbose=True)

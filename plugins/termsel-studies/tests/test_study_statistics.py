@@ -260,7 +260,8 @@ def test_problems_with_models_of_their_own_are_compared_by_their_fitness() -> No
     assert groups.methods == ("ga", "swap")
     assert list(groups.instances) == list(own)
     said = valid_claims(groups, None, rows)
-    assert said[0] == "Compared by the fitness (check-rmse or press); lower is better."
+    assert said[0] == ("Compared by the fitness (selection RMSE or leave-one-out RMSE); lower is "
+                       "better.")
     assert said[1].startswith("All methods ran on 3 instances")
     # Models that are named are methods, and their fitness is not the accuracy.
     named = [_row(model=model, solver=solver, independent=1.0)

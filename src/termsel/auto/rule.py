@@ -598,7 +598,8 @@ def _comparison_sentence(rival: Fit, base: Fit, margin: float) -> str:
 
 def _difference_in_words(rival: Fit, base: Fit) -> str:
     """Return by how much a method predicts held-out features better or worse than another."""
-    return (f"{method_of(rival).label} predicts left-out points "
+    label = method_of(rival).label
+    return (f"{label[:1].upper()}{label[1:]} predicts left-out points "
             f"{advantage_in_words(gain(rival, base), method_of(base).label)}")
 
 

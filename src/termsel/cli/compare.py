@@ -136,7 +136,12 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
 
     from termsel.studies import compare as comparing
     from termsel.studies.maps import next_command
-    from termsel.studies.outputs import screen, study_summary, write_outputs
+    from termsel.studies.outputs import (
+        next_command_of_searches,
+        screen,
+        study_summary,
+        write_outputs,
+    )
 
     with say_once(), study_bar(quiet) as observe:
         results = comparing.compare(study, out=out, workers=workers, scheduler=scheduler,
@@ -159,7 +164,8 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
         echo(f"{results.failures} of {count_in_words(len(results.cells), 'image')} failed.",
              err=True)
     # The last line is what to type.
-    if are_images and (command := next_command(results, out)):
+    command = next_command(results, out) if are_images else next_command_of_searches(results)
+    if command:
         echo(command)
     # An image that fails stops no other: a script learns of it by the exit code alone.
     if results.failures:

@@ -47,7 +47,9 @@ from termsel.results.selected import blocks_on_selection
 from termsel.results.tables import sigma_table
 from termsel.results.verdict import (
     CERTAINTY,
+    CRITERIA_IN_WORDS,
     ROLE_WORDS,
+    criterion_in_words,
     fits_of,
     label_of,
     outliers_in_words,
@@ -365,7 +367,9 @@ def _legend_of_fits(record: Record, view: View | None) -> Iterator[str]:
         yield ("The search minimised the RMSE at selection points, so it is optimistic; the "
                "accuracy is the RMSE at independent check points.")
     else:
-        yield f"The search minimised {objective}. Accuracy: the RMSE at independent check points."
+        article = "the " if objective in CRITERIA_IN_WORDS else ""
+        yield (f"The search minimised {article}{criterion_in_words(objective)}. Accuracy: the "
+               "RMSE at independent check points.")
 
 
 def _table_of_fits(record: Record) -> TableBlock:

@@ -16,7 +16,7 @@ from termsel.results.charts import search
 from termsel.results.first_screen import share_in_words
 from termsel.results.plots import chart_block, why_chart_missing
 from termsel.results.tables import OF_TERMS
-from termsel.results.verdict import label_of
+from termsel.results.verdict import criterion_in_words, label_of
 from termsel.results.view import View
 
 
@@ -137,8 +137,9 @@ def _sentences_on_search(record: Record) -> Iterator[Block]:
            f"the cache), {count_in_words(record.generations, 'generation')}, {record.seconds:.1f} "
            "s")
     if refinement := record.polish:
-        yield (f"Local refinement: {record.criterion} {refinement.found:.4g} as "
-               f"{record.solver} found it, {refinement.polished:.4g} after it "
+        yield (f"Local refinement: {criterion_in_words(record.criterion)} "
+               f"{refinement.found:.4g} as {record.solver} found it, "
+               f"{refinement.polished:.4g} after it "
                f"({amount_in_words(refinement.evaluations, 'evaluation')})")
 
 
@@ -243,8 +244,8 @@ def _table_of_members(record: Record, members: Sequence[Member | SizeRow]) -> Ta
         if objective == "check-rmse":
             columns.append(("selection [px]", [_px_text(member.rmse.check) for member in members]))
         else:
-            columns.append((objective, [_objective_text(member.objectives[objective])
-                                        for member in members]))
+            columns.append((criterion_in_words(objective), [
+                _objective_text(member.objectives[objective]) for member in members]))
     # A text has no room for the errors at selection points and for the names.
     page_only = []
     if "check-rmse" not in further:
@@ -281,8 +282,8 @@ def _table_by_size(members: Sequence[Member | SizeRow], by_size: Sequence[SizeRo
         rows.append((f"{row.objectives[size]:g}", f"{row.objectives[criterion]:.4g}", bound,
                      sizes.proven_in_words(row), _px_text(row.rmse.independent),
                      " ".join(getattr(row.selection, names))))
-    columns = (sizes.noun_of_members(members), criterion, "lower bound", sizes.TITLE,
-               "independent check [px]", f"selected {names}")
+    columns = (sizes.noun_of_members(members), criterion_in_words(criterion), "lower bound",
+               sizes.TITLE, "independent check [px]", f"selected {names}")
     return TableBlock("Best selection of each size", columns, rows, folded=True)
 
 

@@ -21,6 +21,10 @@ ROLE_WORDS = {"control": "control", "check": "selection", "independent": "indepe
               "off": "not used", "left out": "not used", "rejected": "rejected outlier"}
 """What tables and charts call the features of a role of files and options, or of a chart."""
 
+CRITERIA_IN_WORDS = {
+    "check-rmse": "selection RMSE", "kfold": "k-fold RMSE", "press": "leave-one-out RMSE",
+    "median": "median selection error", "huber": "robust selection error (Huber)"}
+"""What pages and charts call the criteria that have px; others keep their name."""
 
 ALL_TERMS = "all-terms"
 """Baseline of a search: the fit of all terms to all control."""
@@ -34,6 +38,11 @@ an RMSE is itself uncertain by more."""
 
 CHANCE = 1.15
 """Ratio beyond which a model that was not chosen may be worth a try."""
+
+
+def criterion_in_words(criterion: str) -> str:
+    """Return a criterion in the words of the field, such as "selection RMSE" for check-rmse."""
+    return CRITERIA_IN_WORDS.get(criterion, criterion)
 
 
 def are_alike(first: float, second: float) -> bool:

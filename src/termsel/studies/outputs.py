@@ -44,12 +44,16 @@ class StudyOutput:
         their own text.
     page : callable, optional
         Takes a `Study`; returns the HTML page that ``termsel report`` writes.
+    next_command : callable, optional
+        Takes a `Study` of searches; returns the last line of the screen, "Next: " and a command,
+        or "".
     """
 
     files: tuple[str, ...]
     write: Callable[[Study, Path], Iterable[Path]]
     summary: Callable[[Study], str] | None = None
     page: Callable[[Study], str] | None = None
+    next_command: Callable[[Study], str] | None = None
 
 
 def output_names() -> tuple[str, ...]:
@@ -97,6 +101,13 @@ def study_summary(study: Study) -> str:
     return "".join(texts) or (
         f"{count_in_words(len(study.records), study.noun)} finished. Statistics and tables come "
         f"with the package {package}, which {state}. {remedy}\n")
+
+
+def next_command_of_searches(study: Study) -> str:
+    """Return the next step after a study of searches as packages say it; "" without one."""
+    lines = (output.next_command(study) for output in values_of_slot("study")
+             if output.next_command)
+    return next(filter(None, lines), "")
 
 
 REMEDY_FOR_SWAPPED = (

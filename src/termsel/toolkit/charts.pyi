@@ -24,6 +24,7 @@ from termsel.results.theme import chart_rows as chart_rows
 from termsel.results.theme import require_altair as require_altair
 from termsel.results.theme import spread_scale as spread_scale
 from termsel.results.theme import with_theme as with_theme
+from termsel.results.verdict import criterion_in_words as criterion_in_words
 from termsel.results.verdict import label_of as label_of
 from termsel.results.view import View as View
 from termsel.results.view import nice_number as nice_number

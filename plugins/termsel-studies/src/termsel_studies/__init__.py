@@ -55,10 +55,12 @@ def termsel_parts() -> Iterable[Part]:
     from termsel.toolkit.studies import StudyOutput
     from termsel_studies import ioh
     from termsel_studies.cluster import run_on_cluster
+    from termsel_studies.next_run import next_command
     from termsel_studies.outlines import map_of
     from termsel_studies.report import FILES, report, study_summary, write_tables_and_charts
 
     return [Part("scheduler", run_on_cluster),
             Part("study", StudyOutput((ioh.IOH_FOLDER,), ioh.write)),
             Part("study-map", map_of),
-            Part("study", StudyOutput(FILES, write_tables_and_charts, study_summary, report))]
+            Part("study", StudyOutput(FILES, write_tables_and_charts, study_summary, report,
+                                       next_command))]

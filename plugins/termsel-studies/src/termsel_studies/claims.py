@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from termsel.toolkit import count_in_words
+from termsel.toolkit.charts import criterion_in_words
 from termsel.toolkit.studies import MEASURES, Row
 from termsel_studies.groups import Groups
 from termsel_studies.significance import (
@@ -22,6 +23,7 @@ _MAX_NAMED = 6
 A12_IN_WORDS = ("A12 is the share of pairs of runs in which one method is better, 0.5 for equal "
                 "ones, with its 95 % interval.")
 """What the effect size of Vargha and Delaney says."""
+_POINTS_IN_WORDS = {"check": "selection points", "independent": "independent check points (ICP)"}
 _SIZES = ((0.71, "large"), (0.64, "medium"), (0.56, "small"))
 
 
@@ -35,10 +37,10 @@ def valid_claims(groups: Groups, comparison: Comparison | None, rows: list[Row])
     """
     measure = groups.measure
     if groups.measure == "fitness":
-        names = " or ".join(groups.objectives)
+        names = " or ".join(map(criterion_in_words, groups.objectives))
         measure = f"the fitness ({names})" if names else "the fitness"
     elif groups.measure in MEASURES:
-        measure = f"the RMSE on {groups.measure} points"
+        measure = f"the RMSE at {_POINTS_IN_WORDS[groups.measure]}"
     sentences = [f"Compared by {measure}; lower is better."]
     if len(groups.methods) < 2:
         sentences.append("There is one method, so nothing is compared." if groups.methods else

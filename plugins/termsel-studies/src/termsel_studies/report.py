@@ -8,11 +8,12 @@ from html import escape
 from importlib.util import find_spec
 from pathlib import Path
 
-from termsel import Study, TermselError, read_result
+from termsel import Code, Study, TermselError, read_result
 from termsel.toolkit import count_in_words, write_text
 from termsel.toolkit.charts import Document, Figure, Section, render_page, save, text_of, with_theme
 from termsel.toolkit.studies import IMAGES, folders_of, image_reasons
 from termsel_studies.figures import CHARTS, figures_of
+from termsel_studies.next_run import next_command
 from termsel_studies.pages import remarks_of, study_as_latex, study_as_markdown, tables_of, title_of
 from termsel_studies.small import draw_residual_thumbnail
 
@@ -88,8 +89,9 @@ def study_summary(study: Study) -> str:
 
 def _study_document(study: Study, charts: list[Figure], pictures: dict[str, str], *,
                     brief: bool = False) -> Document:
-    """Return the page of a study: valid claims, images, other tables, and charts.
+    """Return the page of a study: a chart, valid claims, images, tables, further charts, a command.
 
+    The chart before the first heading is that of all instances, or of the convergence on one.
     `pictures` are drawings of images as SVG by the key of their cell; the table of images shows
     them. If `brief`, tables have at most five columns, and the reasons of the verdicts on images
     are sentences. Sections without content are left out.
@@ -103,17 +105,31 @@ def _study_document(study: Study, charts: list[Figure], pictures: dict[str, str]
     legend = [_LEGEND_OF_THUMBNAILS] if pictures and images else []
     rows = [row for row in study.rows if row["strategy"] == "auto"]
     reasons = image_reasons(rows) if brief else []
+    first = first_chart(charts)
+    command = "" if brief else next_command(study).removeprefix("Next: ").partition("   ")[0]
     sections = (
         Section("What may be claimed", tuple(sentences)),
         Section("Images", (*remarks_of(study), *legend, *images, *reasons)),
         Section("Tables", tuple(table for table in tables if not table.keys)),
-        Section("Charts", tuple(charts)))
+        Section("Charts", tuple(chart for chart in charts if chart is not first)),
+        Section("What comes next?", (
+            "A study keeps figures alone. This repeats the best run of the best method, and keeps "
+            "its model, its residuals and its accuracy:", Code(command)) if command else ()))
     only_images = study.spec.strategies == ("auto",)
     done = len(study.records)
     number = count_in_words(len(study.cells), "image" if only_images else "run")
     return Document(title_of(study),
-                    number if study.complete else f"{done} of {number} finished", (),
+                    number if study.complete else f"{done} of {number} finished",
+                    () if first is None else (first,),
                     tuple(section for section in sections if section.blocks))
+
+
+def first_chart(charts: list[Figure]) -> Figure | None:
+    """Return the chart that a page begins with: over all instances, if there is one, else of one.
+    """
+    by_name = {chart.name: chart for chart in charts}
+    return next((by_name[name] for name in ("performance-profile", "convergence",
+                                            "ecdf-evaluations") if name in by_name), None)
 
 
 def residual_thumbnails(study: Study) -> dict[str, str]:

@@ -22,13 +22,13 @@ from termsel.results.theme import (
     role_legend,
     spread_scale,
 )
+from termsel.results.verdict import CRITERIA_IN_WORDS, criterion_in_words
 from termsel.results.view import Row, View
 
 MAX_GENERATIONS_SHOWN = 400
 """Generations that a chart shows: of a longer search, those evenly spaced."""
 AREAS = 4000
 """Most corners of the areas of empires."""
-_IN_PIXELS = ("check-rmse", "kfold", "press", "median", "huber")
 
 
 def front_chart(view: View) -> Any:
@@ -134,8 +134,9 @@ def convergence_chart(view: View) -> Any:
         x=x, color=colour, strokeDash=alt.StrokeDash("what:N", scale=alt.Scale(
             domain=["best", "median"], range=[[1, 0], [5, 3]])),
         y=alt.Y("value:Q", title=f"{with_unit(criterion)}{kind}", scale=scale),
-        tooltip=[alt.Tooltip("evaluations:Q", format=",d"), alt.Tooltip("what:N"),
-                 alt.Tooltip("value:Q", title=criterion, format=".4g")])
+        tooltip=[alt.Tooltip("evaluations:Q", format=",d"),
+                 alt.Tooltip("what:N", title="of the population"),
+                 alt.Tooltip("value:Q", title=with_unit(criterion), format=".4g")])
     # Both axes have scales of their own, as a share and an RMSE have nothing in common.
     return alt.layer(area, curves).resolve_scale(y="independent").properties(
         width=WIDTH, height=0.45 * WIDTH)
@@ -185,8 +186,9 @@ def empires_chart(view: View) -> Any:
 
 
 def with_unit(criterion: str) -> str:
-    """Return the name of a criterion, with its unit where it has one."""
-    return f"{criterion} [px]" if criterion in _IN_PIXELS else criterion
+    """Return what a criterion is called on the axis of a chart, with its unit where it has one."""
+    words = criterion_in_words(criterion)
+    return f"{words} [px]" if criterion in CRITERIA_IN_WORDS else words
 
 
 def evenly_spaced(history: Sequence[HistoryRow], limit: int) -> list[HistoryRow]:
