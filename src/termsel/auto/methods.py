@@ -8,6 +8,7 @@ import numpy as np
 
 from termsel.adjustment.bayesian.field import GaussianProcess
 from termsel.adjustment.bayesian.plane_average import PlaneAverage
+from termsel.adjustment.control_views import view_of_control
 from termsel.auto.physical import (
     PHOTO_MAX_POINTS,
     PHYSICAL_MAX_CHOSEN,
@@ -31,7 +32,6 @@ from termsel.auto.shrunken import (
 )
 from termsel.data.fit_data import FitData, is_off_plane
 from termsel.data.scaling import metres_of
-from termsel.data.view import view_of
 from termsel.fitting.fit import Fit, Undetermined
 from termsel.fitting.least_squares import LEAST_SQUARES, LeastSquares, require_determined
 from termsel.fitting.method import Method
@@ -120,7 +120,7 @@ class _OfPlane(Structure):
         """Return why it cannot be fitted; None if it can, as without heights or in an oblique view.
         """
         # Off a plane a projective transformation of the plane holds in an oblique view alone.
-        if data.heights and view_of(data.scaled.points) is None:
+        if data.heights and view_of_control(data.scaled) is None:
             return f"{self.title} is for features without heights, or for oblique views"
         return super().declines(data)
 

@@ -62,7 +62,7 @@ def has_pole(fitted: Fit) -> bool:
     control = fitted.scaled_control
     return bool(pole_violation(
         fitted.model, fitted.adjustment.coefficients[None],
-        guard_points(control, empty_points(), POLE_BOX_FACTOR), pole_margin(control.points))[0])
+        guard_points(control, empty_points(), POLE_BOX_FACTOR), pole_margin(control))[0])
 
 
 PAIRS_OF_CONTROL = 30
@@ -339,6 +339,8 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
     instead have a far smaller RMSE (see `is_supported_and_smaller`). A projection that fits few
     points better than a similarity by chance alone is left out (see `chance_of_similarity`). Of the
     methods that are so much better, and the fit to beat, the one with the smallest RMSE is chosen.
+    Of control with lines a supported projection that explains it as well with fewer unknowns takes
+    the place of the fit to beat (see `explains_lines_with_less`).
 
     The choice has its reason only where it is to be `explained`.
     """
@@ -354,8 +356,14 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
     rivals = [base]
     for alternative in alternatives.copy():
         is_clearly_better = gain(alternative, base) > required_gain(alternative, base)
-        if not (is_clearly_better or is_supported_and_smaller(alternative, base)):
+        is_simpler = explains_lines_with_less(alternative, base)
+        if not (is_clearly_better or is_simpler or is_supported_and_smaller(alternative, base)):
             continue
+        if is_simpler:
+            reasons.append(
+                f"{method_of(alternative).label} leaves no more of the control than chance "
+                f"explains, with {alternative.effective:.0f} unknowns in place of "
+                f"{base.effective:.0f}.")
         # Five points let a camera fit well by chance, though the truth is a similarity.
         chance = chance_of_similarity(alternative, compared)
         if chance <= CHANCE_OF_SIMILARITY:
@@ -364,7 +372,8 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
             alternatives.remove(alternative)
             reasons.append(f"{method_of(alternative).label} is not taken: it would fit points of a "
                            f"similarity as well in {chance:.0%} of cases.")
-    chosen = min(rivals, key=beyond_rounding)
+    simpler = [rival for rival in rivals if explains_lines_with_less(rival, base)]
+    chosen = min(simpler or rivals, key=beyond_rounding)
     if not explained:
         return Choice(chosen, compared, "")
     # The reason compares both; where the base itself is chosen, they are one.
@@ -443,13 +452,34 @@ def required_gain(fitted: Fit, base: Fit) -> float:
     if not method_of(fitted).central:
         return CLEAR_MARGIN
     # Few points measured roughly, as in a drawn bird's-eye view, hardly resolve standard errors;
-    # that they support an oblique view, or a camera near by, is evidence of its own.
+    # that they support an oblique view, or a camera near by, is evidence of its own. A camera with
+    # about as many unknowns as an affine polynomial is not better for having more.
+    has_few_unknowns = fitted.model.uses_height and fitted.effective <= MOST_OF_CAMERA
+    return PRIOR_MARGIN if calls_for_camera(fitted) or has_few_unknowns else PROJECTION_MARGIN
+
+
+def calls_for_camera(fitted: Fit) -> bool:
+    """Return whether the control of a fit supports an oblique view, or a camera near by."""
     view = fitted.view
-    calls_for_camera = view is not None and (
+    return view is not None and (
         view.depth < OBLIQUE_DEPTH_RATIO or view.affine_share < CENTRAL_AFFINE_SHARE)
-    # A camera with about as many unknowns as an affine polynomial is not better for having more.
-    calls_for_camera |= fitted.model.uses_height and fitted.effective <= MOST_OF_CAMERA
-    return PRIOR_MARGIN if calls_for_camera else PROJECTION_MARGIN
+
+
+def explains_lines_with_less(fitted: Fit, base: Fit) -> bool:
+    """Return whether a projection explains control with lines as well with fewer unknowns.
+
+    A line shows no error along itself, so that errors at lines held out hardly show what further
+    unknowns do between them. A projection that the control supports is then taken unless those of
+    the base lessen the squares by more than chance: by the F test of both sums.
+    """
+    if not (len(fitted.control.lines) and method_of(fitted).central and calls_for_camera(fitted)):
+        return False
+    further_unknowns = base.effective - fitted.effective
+    freedom = base.adjustment.n_equations - base.effective
+    if further_unknowns <= 0.0 or freedom <= 0.0:
+        return False
+    share = _weighted_squares(base) / _weighted_squares(fitted)
+    return chance_of_better_fit(share, freedom, further_unknowns) > CHANCE_OF_SIMILARITY
 
 
 def is_supported_and_smaller(fitted: Fit, base: Fit) -> bool:
@@ -515,6 +545,12 @@ def _squares_left(fitted: Fit) -> float:
     residuals = fitted.control_errors(fitted.used)
     weights = weights_of(fitted.control.take(fitted.used).points)
     return max(float(((residuals * weights) ** 2).sum()), np.finfo(float).tiny)
+
+
+def _weighted_squares(fitted: Fit) -> float:
+    """Return the sum of weighted squared residuals of points and lines, scaled."""
+    freedom = fitted.adjustment.n_equations - fitted.effective
+    return max(fitted.adjustment.sigma0**2 * freedom, np.finfo(float).tiny)
 
 
 def is_undecided(data: FitData) -> bool:

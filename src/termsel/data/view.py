@@ -1,4 +1,4 @@
-"""The central projection that points support: the view of a camera, be it oblique.
+"""The central projection that control supports: the view of a camera, be it oblique.
 
 Line and sample are linear in X, Y (and Z) over one denominator, which is the distance from the
 camera along its view. It is zero in the plane of the camera: below it, and beyond the horizon of
@@ -13,7 +13,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from termsel.data.coordinates.places import spatial_order
-from termsel.data.features import BoolArray, FloatArray, Points, empty_points
+from termsel.data.features import BoolArray, FloatArray, IntArray, Points, empty_points
 from termsel.data.record.chances import chance_of_better_fit
 from termsel.data.tables.tabular import replace_unchecked
 
@@ -84,6 +84,50 @@ BEST = 5 / 6
 
 _PROJECTION_STEPS, _HALVINGS, _GAIN = 30, 8, 1e-6
 _DETERMINED = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """Measured coordinates of the images of ground places, each along one direction.
+
+    Of a point the line and the sample are measured, of a vertex of a line its distance across the
+    line alone: n'(l, s) = rho, with the unit normal n of the image line and its offset rho.
+
+    Parameters
+    ----------
+    normals : ndarray, shape (m, 2)
+        Directions n, multiplied by the weights of the sightings.
+    offsets : ndarray, shape (m,)
+        Measured coordinates rho along them, likewise.
+    ground : ndarray, shape (m, 3)
+        Scaled places.
+    place : ndarray of int, shape (m,)
+        Number of the place of each sighting: both sightings of a point have one.
+    """
+
+    normals: FloatArray
+    offsets: FloatArray
+    ground: FloatArray
+    place: IntArray
+
+    @classmethod
+    def of_points(cls, points: Points) -> Sightings:
+        """Return those of scaled points: all lines, then all samples."""
+        count = len(points)
+        return cls(np.repeat(np.eye(2), count, axis=0), points.image.T.ravel(),
+                   np.tile(points.ground, (2, 1)), np.tile(np.arange(count), 2))
+
+    def __len__(self) -> int:
+        return len(self.offsets)
+
+    def take(self, chosen: BoolArray) -> Sightings:
+        """Return the sightings of a mask (m,)."""
+        return Sightings(self.normals[chosen], self.offsets[chosen], self.ground[chosen],
+                         self.place[chosen])
+
+    def along(self, image: FloatArray) -> FloatArray:
+        """Return image positions of the places (m, 2) along the directions, (m,)."""
+        return np.asarray((self.normals * image).sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,22 +239,30 @@ def view_of(points: Points) -> CentralView | None:
 def _view_of(measurements: Measurements) -> CentralView | None:
     """Return the central view of the points; None if it does not fit them clearly better.
 
-    It has heights if they show their effect, else it is that of a plane. Many points are
-    represented by MAX_VIEW_POINTS that are spread over all.
+    Many points are represented by MAX_VIEW_POINTS that are spread over all.
     """
     points = measurements.points
     # In spatial order neighbours follow each other: every m-th point is spread over the scene.
     if len(points) > MAX_VIEW_POINTS:
         even = np.linspace(0, len(points) - 1, MAX_VIEW_POINTS).astype(int)
         points = points.take(spatial_order(points.ground[:, :2])[even])
-    if np.isfinite(points.ground).all():
-        view = _clearly_better_view(points, 4)
-        if view is not None and _heights_show(view, points):
+    return view_of_sightings(Sightings.of_points(points), points)
+
+
+def view_of_sightings(sightings: Sightings, points: Points | None = None) -> CentralView | None:
+    """Return the central projection that sightings support; None if they support none.
+
+    It has heights if they show their effect, else it is that of a plane. Where the sightings are
+    those of `points`, a bound that is quick to compute spares most searches in vain.
+    """
+    if np.isfinite(sightings.ground).all():
+        view = _clearly_better_view(sightings, 4, points)
+        if view is not None and _heights_show(view, sightings):
             return view
-    return _clearly_better_view(points, 3)
+    return _clearly_better_view(sightings, 3, points)
 
 
-def _heights_show(view: CentralView, points: Points) -> bool:
+def _heights_show(view: CentralView, sightings: Sightings) -> bool:
     """Return whether heights explain more of the image than their three unknowns do by chance.
 
     On a plane, a projection would be fitted to the rounding of heights, and could not tell how any
@@ -218,17 +270,17 @@ def _heights_show(view: CentralView, points: Points) -> bool:
     and S0 that of the one without heights with f + 3. If heights have no effect, (S0 - S) / 3 over
     S / f has an F distribution.
     """
-    plane = _projection_columns(points.ground, 3)
+    plane = _projection_columns(sightings.ground, 3)
     # What of the heights a plane explains, the other columns of a projection do.
-    heights = points.ground[:, 2]
+    heights = sightings.ground[:, 2]
     off_plane = heights - plane @ np.linalg.lstsq(plane, heights)[0]
     if np.abs(off_plane).max() <= LEAST_RELIEF:
         return False
-    matrix = _least_distance_matrix(plane, points.image)
+    matrix = _least_distance_matrix(sightings, 3)
     if matrix is None:
         return True
-    plane_squares = float(((points.image - _project_with_matrix(matrix, plane)) ** 2).sum())
-    freedom = points.image.size - _unknowns(4)
+    plane_squares = float((_distances(sightings, matrix) ** 2).sum())
+    freedom = len(sightings) - _unknowns(4)
     squares = view.sigma**2 * freedom
     if squares >= plane_squares:
         return False
@@ -236,16 +288,19 @@ def _heights_show(view: CentralView, points: Points) -> bool:
     return chance < 1.0 - HEIGHT_CONFIDENCE
 
 
-def _clearly_better_view(points: Points, size: int) -> CentralView | None:
+def _clearly_better_view(sightings: Sightings, size: int,
+                         points: Points | None) -> CentralView | None:
     """Return the view by 1, X, Y (and Z: size 4) if it is clearly better than an affine one.
 
-    None if it is not, or if the points leave nothing over to tell by.
+    None if it is not, or if the sightings leave nothing over to tell by.
     """
-    columns = _projection_columns(points.ground, size)
-    affine_sigma = _affine_deviation(columns, points.image)
-    if affine_sigma is None or not _may_be_clearly_better(columns, points.image, affine_sigma):
+    affine_sigma = _affine_deviation(sightings, size)
+    if affine_sigma is None:
         return None
-    return _fit_projection(columns, points, affine_sigma)
+    if points is not None and not _may_be_clearly_better(
+            _projection_columns(points.ground, size), points.image, affine_sigma):
+        return None
+    return _fit_projection(sightings, size, affine_sigma)
 
 
 def _unknowns(size: int) -> int:
@@ -258,16 +313,24 @@ def _projection_columns(ground: FloatArray, size: int) -> FloatArray:
     return np.column_stack([np.ones(len(ground)), ground[:, :size - 1]])
 
 
-def _affine_deviation(columns: FloatArray, image: FloatArray) -> float | None:
-    """Return the standard deviation of image coordinates about an affine transformation.
+def _affine_deviation(sightings: Sightings, size: int) -> float | None:
+    """Return the standard deviation of sightings about an affine transformation.
 
-    None is returned if there are not more coordinates than parameters.
+    None is returned if there are not more of them than parameters.
     """
-    freedom = image.size - 2 * columns.shape[1]
+    freedom = len(sightings) - 2 * size
     if freedom <= 0:
         return None
-    residuals = image - columns @ np.linalg.lstsq(columns, image)[0]
+    columns = _projection_columns(sightings.ground, size)
+    design = _along_normals(sightings, columns)
+    residuals = sightings.offsets - design @ np.linalg.lstsq(design, sightings.offsets)[0]
     return float(np.sqrt((residuals**2).sum() / freedom))
+
+
+def _along_normals(sightings: Sightings, columns: FloatArray) -> FloatArray:
+    """Return the columns (m, k) of line, then of sample, along the directions, (m, 2 k)."""
+    return np.concatenate([sightings.normals[:, :1] * columns, sightings.normals[:, 1:] * columns],
+                          axis=1)
 
 
 def _may_be_clearly_better(columns: FloatArray, image: FloatArray, affine_sigma: float) -> bool:
@@ -316,50 +379,49 @@ def _may_be_clearly_better(columns: FloatArray, image: FloatArray, affine_sigma:
     return bool(bound < (CLEARER * affine_sigma) ** 2 * freedom)
 
 
-def _fit_projection(columns: FloatArray, points: Points, affine_sigma: float) -> CentralView | None:
+def _fit_projection(sightings: Sightings, size: int, affine_sigma: float) -> CentralView | None:
     """Return the projection with the least squares of distances in the image.
 
-    `columns` (n, k) are those of numerators and denominator at the points, a column of ones and the
-    scaled coordinates; `affine_sigma` [px] is the noise that an affine transformation leaves. None
-    is returned if it is not clearly better than an affine transformation, if the points do not
-    determine it, and if some would be behind the camera.
+    `size` is that of the view, 3 or 4 columns, and `affine_sigma` (scaled) the noise that an affine
+    transformation leaves. None is returned if it is not clearly better than an affine transformation,
+    if the sightings do not determine it, and if some would be behind the camera.
     """
-    matrix = _least_distance_matrix(columns, points.image)
+    matrix = _least_distance_matrix(sightings, size)
     if matrix is None:
         return None
-    distances = np.linalg.norm(points.image - _project_with_matrix(matrix, columns), axis=1)
-    unknown = _unknowns(matrix.shape[1])
-    sigma = float(np.sqrt((distances**2).sum() / (2 * len(distances) - unknown)))
+    unknown = _unknowns(size)
+    squares = _distances(sightings, matrix) ** 2
+    sigma = float(np.sqrt(squares.sum() / (len(sightings) - unknown)))
     if not sigma < CLEARER * affine_sigma:
         return None
-    # The noise is that of the points that fit best, which blunders do not reach; it is never more
-    # than that of all points.
+    # The noise is that of the places that fit best, which blunders do not reach; it is never more
+    # than that of all places.
     noise = np.inf
-    best = np.argsort(distances)[:round(BEST * len(distances))]
-    best_matrix = _least_distance_matrix(columns[best], points.image[best])
+    squares_of_places = np.bincount(sightings.place, squares)
+    best = np.argsort(squares_of_places)[:round(BEST * len(squares_of_places))]
+    closest = sightings.take(np.isin(sightings.place, best))
+    best_matrix = _least_distance_matrix(closest, size)
     if best_matrix is not None:
-        closest = points.image[best] - _project_with_matrix(best_matrix, columns[best])
-        noise = float(np.sqrt((closest**2).sum() / (closest.size - unknown)))
-    return CentralView(matrix, points.ground, sigma, min(noise, sigma), sigma / affine_sigma)
+        least = _distances(closest, best_matrix)
+        noise = float(np.sqrt((least**2).sum() / (len(closest) - unknown)))
+    ground = sightings.ground[np.unique(sightings.place, return_index=True)[1]]
+    return CentralView(matrix, ground, sigma, min(noise, sigma), sigma / affine_sigma)
 
 
-def _least_distance_matrix(columns: FloatArray, image: FloatArray) -> FloatArray | None:
-    """Return the matrix (3, k) of the projection of least distances in the image, by Gauss-Newton.
+def _least_distance_matrix(sightings: Sightings, size: int) -> FloatArray | None:
+    """Return the matrix (3, size) of the projection of least distances, by Gauss-Newton.
 
-    `columns` (n, k) are 1, X, Y (and Z) of the points. None is returned if there are not more image
-    coordinates than unknowns, if the points do not determine the projection, and if the first
-    solution has points behind the camera.
+    None is returned if there are not more sightings than unknowns, if they do not determine the
+    projection, and if the first solution has places behind the camera.
     """
-    size = columns.shape[1]
-    if image.size <= 3 * size - 1:
+    if len(sightings) <= _unknowns(size):
         return None
-    zero = np.zeros_like(columns)
-    # With p = (1, X, Y, Z) and rows a, b, d of the matrix, a p - line d p = 0 and
-    # b p - sample d p = 0. These equations are linear in the matrix and leave its size free: the
-    # last right singular vector is the solution.
-    system = np.concatenate([
-        np.concatenate([columns, zero, -image[:, :1] * columns], axis=1),
-        np.concatenate([zero, columns, -image[:, 1:] * columns], axis=1)])
+    # With p = (1, X, Y, Z) and rows a, b, d of the matrix, n1 a p + n2 b p - rho d p = 0. These
+    # equations are linear in the matrix and leave its size free: the last right singular vector is
+    # the solution.
+    columns = _projection_columns(sightings.ground, size)
+    system = np.concatenate([_along_normals(sightings, columns),
+                             -sightings.offsets[:, None] * columns], axis=1)
     *_, values, vectors = np.linalg.svd(system, full_matrices=False)
     if values[-2] <= _DETERMINED * values[0]:
         return None
@@ -368,13 +430,13 @@ def _least_distance_matrix(columns: FloatArray, image: FloatArray) -> FloatArray
     matrix = matrix * np.sign((columns @ matrix[2]).sum())
     if not (columns @ matrix[2] > 0.0).all():
         return None
-    residuals = image - _project_with_matrix(matrix, columns)
+    residuals = _distances(sightings, matrix)
     # Steps from there to the least distances are halved until they bring a gain.
     for _ in range(_PROJECTION_STEPS):
-        step = _gauss_newton_step(matrix, columns, residuals)
+        step = _gauss_newton_step(matrix, sightings, columns, residuals)
         for halving in range(_HALVINGS):
             trial = matrix + 0.5**halving * step
-            trial_residuals = image - _project_with_matrix(trial, columns)
+            trial_residuals = _distances(sightings, trial)
             squares = (trial_residuals**2).sum()
             if (columns @ trial[2] > 0.0).all() and squares < (residuals**2).sum():
                 break
@@ -388,24 +450,29 @@ def _least_distance_matrix(columns: FloatArray, image: FloatArray) -> FloatArray
     return np.asarray(matrix)
 
 
-def _gauss_newton_step(matrix: FloatArray, columns: FloatArray,
+def _gauss_newton_step(matrix: FloatArray, sightings: Sightings, columns: FloatArray,
                        residuals: FloatArray) -> FloatArray:
     """Return the Gauss-Newton step (3, k) of a matrix (3, k), at right angles to it.
 
-    Its size is free. `columns` (n, k) are those of the places, and `residuals` (n, 2) their image
-    positions less those by the matrix.
+    Its size is free. `columns` (m, k) are those of the places, and `residuals` (m,) the sightings
+    less those by the matrix.
     """
-    projected = _project_with_matrix(matrix, columns)
+    projected = sightings.along(_project_with_matrix(matrix, columns))
     denominators = columns @ matrix[2]
     # The derivatives of a p / d p are p / (d p) by a and -(a p / d p) p / (d p) by d.
     quotients = columns / denominators[:, None]
-    zero = np.zeros_like(columns)
     design = np.concatenate([
-        np.concatenate([quotients, zero, -projected[:, :1] * quotients], axis=1),
-        np.concatenate([zero, quotients, -projected[:, 1:] * quotients], axis=1),
+        np.concatenate([_along_normals(sightings, quotients), -projected[:, None] * quotients],
+                       axis=1),
         matrix.reshape(1, -1)])
-    right = np.concatenate([residuals.T.ravel(), [0.0]])
+    right = np.append(residuals, 0.0)
     return np.asarray(np.linalg.lstsq(design, right)[0].reshape(matrix.shape))
+
+
+def _distances(sightings: Sightings, matrix: FloatArray) -> FloatArray:
+    """Return the sightings minus those by a projective matrix (3, k), (m,)."""
+    columns = _projection_columns(sightings.ground, matrix.shape[1])
+    return np.asarray(sightings.offsets - sightings.along(_project_with_matrix(matrix, columns)))
 
 
 def _project_with_matrix(matrix: FloatArray, columns: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from termsel.adjustment.control_views import view_of_control
 from termsel.adjustment.equations import has_unlike_weights, line_normals, weights_of
 from termsel.adjustment.interpolation import Interpolation
 from termsel.adjustment.solve import ROUNDING, Adjustment
@@ -28,7 +29,7 @@ from termsel.data.locate import Surface, locate
 from termsel.data.record.figures import Rmse, Settings
 from termsel.data.relief import unmasked, visible_ground
 from termsel.data.scaling import Scaling, make_scaling, to_fit_crs
-from termsel.data.view import CentralView, view_of
+from termsel.data.view import CentralView
 from termsel.fitting.camera_courses import CameraCourses, camera_courses, share_of_courses
 from termsel.fitting.extrapolation import far_rows_in_words, variance_by_heights
 from termsel.fitting.local_courses import LocalCourses, local_courses
@@ -146,7 +147,7 @@ class Estimator(ABC):
 
     def view(self, features: FeatureSet, scaling: Scaling) -> CentralView | None:
         """Return the central projection that scaled features in use support, or None."""
-        return view_of(features.points)
+        return view_of_control(features)
 
     def held_out(self, fitted: Fit) -> HeldOut:
         """Return the errors of features in use, each under this estimator without that feature.

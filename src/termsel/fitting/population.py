@@ -193,8 +193,8 @@ class Fits:
             squares = np.concatenate([squares, distances**2], axis=1)
         # An image beyond a pole may be near by chance: it counts as infinitely far.
         if denominators is not None:
-            squares = np.where((denominators >= pole_margin(self.control)).all(axis=2), squares,
-                               np.inf)
+            least = pole_margin(FeatureSet(self.control))
+            squares = np.where((denominators >= least).all(axis=2), squares, np.inf)
         if line_rows.any():  # the squares of all vertices of a feature are added up
             feature_of_vertex = np.concatenate(
                 [point_rows, n + np.repeat(self.lines.feature[line_rows], 2)])

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
+from termsel.adjustment.control_views import view_of_control
 from termsel.adjustment.equations import (
     Equations,
     approximate_image,
@@ -28,7 +29,6 @@ from termsel.data.coordinates.crs import is_geocentric
 from termsel.data.coordinates.places import spatial_order
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
 from termsel.data.monomials import RPC00B, Exponents, evaluate_monomials, monomial_name
-from termsel.data.view import view_of
 from termsel.models.base import BOTH, LINE, SAMPLE, SensorModel
 from termsel.models.terms import AXES, Term
 
@@ -412,13 +412,13 @@ no room for a pole between so many."""
 _GRID = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, n) for n in (5, 5, 3)]), -1).reshape(-1, 3)
 
 
-def pole_margin(control: Points) -> float:
-    """Return the least value that denominators must have, of models of scaled control points.
+def pole_margin(control: FeatureSet) -> float:
+    """Return the least value that denominators must have, of models of scaled control.
 
-    It is POLE_MARGIN, or less where the points support an oblique view, whose nearest point is so
+    It is POLE_MARGIN, or less where control supports an oblique view, whose nearest point is so
     much nearer to the camera than the middle.
     """
-    view = view_of(control)
+    view = view_of_control(control)
     return POLE_MARGIN if view is None else min(POLE_MARGIN, SHORTER * view.depth)
 
 
@@ -447,7 +447,7 @@ def guard_points(control: FeatureSet, check: Points, wider: float = 1.0) -> Floa
     if wider != 1.0:
         middle = (guard.max(axis=0) + guard.min(axis=0)) / 2
         guard = middle + wider * (guard - middle)
-    view = view_of(control.points)
+    view = view_of_control(control)
     if view is not None:
         guard = np.concatenate([vertices, guard[view.shows(guard)]])
     guard.setflags(write=False)  # all who ask for the same ones share them

@@ -171,4 +171,4 @@ def has_pole(fitted: Fit, check: Points) -> bool:
     return bool(pole_violation(
         fitted.model, fitted.adjustment.coefficients[None],
         guard_points(control, scaling.points(check)),
-        pole_margin(control.points)).any())
+        pole_margin(control)).any())

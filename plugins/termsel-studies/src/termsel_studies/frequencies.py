@@ -301,6 +301,6 @@ def _fit_stable_terms(task: Task, is_stable: BoolArray) -> tuple[bool, dict[str,
                          scaling.points(control_and_check.points))
     if not fitted.adjustment.feasible or pole_violation(
             task.model, fitted.adjustment.coefficients[None], guard,
-            pole_margin(scaling.points(control_and_check.points))).any():
+            pole_margin(scaling.features(control_and_check))).any():
         return False, {}
     return True, rmse_by_role(restrict_to_control(fitted, task.observations), task.observations)

@@ -91,7 +91,7 @@ class SelectionProblem(Problem):
                                hint=f"Choose {Remedy('criterion', 'check-rmse')}.")
         # Denominators must be positive at all of these, wherever the image is used.
         self._guard = guard_points(control, inputs.check)
-        self._margin = pole_margin(control.points)
+        self._margin = pole_margin(control)
         self._parts = independent_parts(self.equations, model.axis)
         names = model.terms
         segments: list[Bits | Subset] = []
