@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from importlib.util import find_spec
 from pathlib import Path
@@ -72,6 +73,19 @@ def test_a_failure_while_writing_changes_nothing(
                 assert not (tmp_path / "new").exists()
     write_block(result, tmp_path / "there", overwrite=True)
     assert content().keys() == before.keys()
+
+
+def test_what_is_said_of_an_image_is_what_its_folder_holds(written: Written) -> None:
+    result, images, folder = written
+    record = json.loads((folder / "block.json").read_text())
+    # The block's own model misses the points by a little more or less.
+    assert [image.independent for image in record_of(result).images] != [
+        image["independent"] for image in record["images"]]
+    for image, own in zip(record["images"], images, strict=True):
+        rmse = own.rmse["independent"]
+        assert rmse is not None
+        assert (image["independent"], image["n_independent"]) == (rmse.total, rmse.n)
+        assert f"{rmse.total:.2f} ({rmse.n})" in (folder / "summary.txt").read_text()
 
 
 def refused(*_: object) -> Any:

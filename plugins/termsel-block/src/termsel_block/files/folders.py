@@ -25,6 +25,7 @@ from termsel_block.shown.record import (
     BlockRecord,
     block_schema,
     correction_of,
+    record_as_written,
     record_of,
     times_seen,
 )
@@ -142,11 +143,15 @@ def write_block(result: BlockResult, folder: Path | str, *, overwrite: bool = Fa
     require_free_folder(folder, names, overwrite=overwrite)
     record = record_of(result)
     with place_together(folder, RECORD) as new_folder:
+        image_results = []
         for i, name in enumerate(names):
             (new_folder / name).mkdir()
-            write_result(image_result(result, i, record), new_folder / name)
+            image_results.append(image_result(result, i, record))
+            write_result(image_results[-1], new_folder / name)
             if progress is not None:
                 progress((i + 1) / len(names))
+        # What is said of an image is what its folder holds.
+        record = record_as_written(record, image_results)
         for file, text in {
                 TIES: ties_csv(result), SUMMARY: text_of(record),
                 SCHEMA_FILE: json.dumps(block_schema(), indent=1) + "\n",

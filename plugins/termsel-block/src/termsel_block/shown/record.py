@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from termsel import Result
 from termsel.toolkit import count_in_words, sentence_on_common_offset
 from termsel.toolkit.models import RARE, Predicted
 from termsel.toolkit.runs import rpc_without_record
@@ -78,7 +79,8 @@ class ImageRecord(msgspec.Struct, frozen=True):
     uncertainty: float
     """RMSE that points over the area of the ties will have [px]."""
     independent: float | None = None
-    """RMSE of independent points [px]: the accuracy."""
+    """RMSE of independent points [px], the accuracy: of a block that is written, by the images' own
+    results."""
     n_independent: int = 0
     rpc: str | None = None
     """File of its RPC."""
@@ -165,6 +167,24 @@ def record_of(result: BlockResult) -> BlockRecord:
         wrong_control=_rejected_control(result),
         notes=notes,
         independent=independent)
+
+
+def record_as_written(record: BlockRecord, results: Sequence[Result]) -> BlockRecord:
+    """Return a record with the RMSE of independent points by the images' own results.
+
+    These are what is written and used: an image's own fit is that of the block but for its priors,
+    and where these count, as for a camera, its points lie closer or farther. The notes follow.
+    """
+    images = []
+    for image, result in zip(record.images, results, strict=True):
+        rmse = result.rmse["independent"]
+        if rmse is not None:
+            image = msgspec.structs.replace(image, independent=rmse.total, n_independent=rmse.n)
+        images.append(image)
+    doubts = doubts_about_predictions(record.images)
+    notes = [note for note in record.notes if note not in doubts]
+    return msgspec.structs.replace(record, images=images,
+                                   notes=[*notes, *doubts_about_predictions(images)])
 
 
 def _advice_on_photos(result: BlockResult) -> str:
