@@ -6,8 +6,9 @@ likely each other course of the image is between and beyond them. The mean squar
 at a place is the variance of that posterior there, and the square of the distance of the fit from
 its mean. A model of a kind that the polynomial does not contain is judged by the propagation of the
 noise through its own adjustment as well: with the chance w that it predicts left-out control better
-than the polynomial, the mean square error is w times the one and 1 - w times the other. Of lines
-and few points it is the propagated noise. All noise is unknown, so that errors have Student's
+than the polynomial, the mean square error is w times the one and 1 - w times the other. Of least
+squares by lines or few points it is the propagated noise; other fits by lines have the posterior of
+the polynomial by lines. All noise is unknown, so that errors have Student's
 distribution with f degrees of freedom, whose variance is f / (f - 2). A spline or a random field
 has a variance of its own, which is that of its own smoothness. From 20 points of a plane on they
 and polynomials are judged by fields of all (`termsel.fitting.local_courses`), and so they are with
@@ -26,6 +27,7 @@ from math import erfc
 import numpy as np
 
 from termsel.adjustment.bayesian.field import GaussianProcess
+from termsel.adjustment.bayesian.line_posterior import line_covariance
 from termsel.adjustment.bayesian.plane_average import PlaneAverage
 from termsel.adjustment.bayesian.posterior import Posterior, polynomial_posterior, predict_positions
 from termsel.adjustment.equations import weights_of
@@ -33,6 +35,7 @@ from termsel.adjustment.solve import Adjustment
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.data.monomials import evaluate_monomials, graded_exponents
 from termsel.models.base import SensorModel
+from termsel.models.polynomial import Polynomial2D, Polynomial3D
 
 BELIEF_DEGREE = 3
 """Degree of the polynomial that the truth is believed to be; that of the model, if higher."""
@@ -130,9 +133,10 @@ def spread_of(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustm
     # Too few points for a belief about the form: the noise alone, by the law of propagation.
     if belief is None and least_squares:
         return _propagated_noise(model, control, terms, adjustment, ground)[0]
+    if belief is None and len(control.lines):
+        return _spread_by_lines(model, control, ground, image, heights=with_heights)
     if belief is None:
-        belief = _belief_of_points(model, control, heights=with_heights)
-        return _unknown_spread(len(ground)) if belief is None else belief.spread(ground, image)
+        return _unknown_spread(len(ground))
     # What corrects residuals follows the noise of the control, which no coefficient has.
     if not least_squares or model.polynomial_degree is not None or model.corrects:
         return belief.spread(ground, image)
@@ -142,19 +146,26 @@ def spread_of(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustm
     return _mixed_squares(chance, propagated, belief.spread(ground, image))
 
 
-def _belief_of_points(model: SensorModel, control: FeatureSet, *, heights: bool) -> _Belief | None:
-    """Return the belief in the truth by the points alone, for control that has lines.
+def _spread_by_lines(model: SensorModel, control: FeatureSet, ground: FloatArray,
+                     image: FloatArray, *, heights: bool) -> Spread:
+    """Return the mean square errors of a fit that is not by least squares, by control with lines.
 
-    The noise of lines cannot be propagated to coefficients that are not by least squares. The
-    points alone show less than both do, so that errors are not understated. By few points they
-    would be overstated many times: it is None for fewer than three times as many as an affine model
-    has terms.
+    As with points, the truth is believed to be a regularised polynomial, and its posterior is that
+    of points and lines together. NaN is returned where these do not determine an affine one.
     """
-    n_affine_terms = 4 if heights else 3
-    points = control.take(np.arange(len(control)) < len(control.points))
-    if len(points) < 3 * n_affine_terms:
-        return None
-    return _Belief.of(model, points, heights=heights)
+    degree = max(BELIEF_DEGREE, model.polynomial_degree or 0)
+    believed = Polynomial3D(degree=degree) if heights else Polynomial2D(degree=degree)
+    posterior = line_covariance(believed.equations(control), believed.exponents)
+    if posterior is None:
+        return _unknown_spread(len(ground))
+    mean, covariance, noise = posterior
+    monomials = evaluate_monomials(ground, believed.exponents)
+    # With C = F F' the covariance of the coefficients of line, then of sample, factors are P F.
+    values, vectors = np.linalg.eigh(covariance)
+    roots = (vectors * np.sqrt(np.maximum(values, 0.0))).reshape(2, monomials.shape[1], -1)
+    factors = np.stack([monomials @ axis_roots for axis_roots in roots], axis=1)
+    offsets = image - monomials @ mean.reshape(2, -1).T
+    return Spread((factors**2).sum(axis=2) + offsets**2, np.full(2, noise**2), factors, offsets)
 
 
 @dataclass(frozen=True, eq=False)

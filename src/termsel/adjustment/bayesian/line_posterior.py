@@ -64,6 +64,7 @@ class LinePosterior:
     errors: FloatArray  # (c, m): what the fit leaves of each row
     groups: tuple[RowGroup, ...]
     coefficients: FloatArray  # (c, j): the shrunken ones
+    sizes: FloatArray  # (c, j): prior standard deviations of these, by that of the noise
     effective: FloatArray  # (c,)
     freedom: int  # equations in use less the terms that are not shrunk
 
@@ -211,6 +212,49 @@ def _cached_mean(A: bytes, b: bytes, feature: bytes, exponents: Exponents,
     return coefficients, effective, solutions.held_out_errors()
 
 
+def line_covariance(equations: Equations,
+                    exponents: Exponents) -> tuple[FloatArray, FloatArray, float] | None:
+    """Return the posterior mean (2 k,) and covariance (2 k, 2 k) of coefficients, and the noise.
+
+    The terms of line come first, then those of sample; all rows are in use, and the noise is the
+    standard deviation of unit weight. Returns None where `line_posterior` returns none.
+    """
+    return _cached_covariance(equations.A.tobytes(), equations.b.tobytes(),
+                              equations.feature.tobytes(), exponents)
+
+
+@lru_cache(maxsize=4)  # maps of uncertainty ask for one piece of the image after the other
+def _cached_covariance(A: bytes, b: bytes, feature: bytes, exponents: Exponents,
+                       ) -> tuple[FloatArray, FloatArray, float] | None:
+    """Return what `line_covariance` does, of arrays as bytes, the cache's key."""
+    equations = Equations(np.frombuffer(A).reshape(-1, 2 * len(exponents)), np.frombuffer(b),
+                          np.frombuffer(feature, dtype=np.intp))
+    solutions = line_posterior(equations, exponents, posterior.N_DRAWS, len(equations.b))
+    if solutions is None:
+        return None
+    is_shrunk = np.tile(np.array(exponents).sum(axis=1) > 1, 2)
+    normal = equations.A.T @ equations.A
+    right = equations.A.T @ equations.b
+    # Student's t of each solution has the variance square / (freedom - 2).
+    noise_squares = solutions.square / max(solutions.freedom - 2.0, 1.0)
+    means = np.empty((len(solutions.share), len(normal)))
+    covariance = np.zeros_like(normal)
+    for cell, sizes in enumerate(solutions.sizes):
+        # (A'A + D^-2)^-1, with D the prior standard deviations; affine terms have no prior. Scaled
+        # by D, it exists where some of them are 0.
+        scale = np.ones(len(normal))
+        scale[is_shrunk] = sizes
+        scaled = scale[:, None] * normal * scale + np.diag(is_shrunk.astype(np.float64))
+        inverse = scale[:, None] * np.linalg.inv(scaled) * scale
+        means[cell] = inverse @ right
+        covariance += solutions.share[cell] * noise_squares[cell] * inverse
+    # To the variance within solutions comes that of their means.
+    mean = solutions.share @ means
+    deviations = means - mean
+    covariance += (solutions.share[:, None] * deviations).T @ deviations
+    return mean, covariance, float(np.sqrt(solutions.share @ noise_squares))
+
+
 def line_posterior(equations: Equations, exponents: Exponents, draws: int,
                    in_use: int) -> LinePosterior | None:
     """Return all solutions for points and lines.
@@ -286,7 +330,7 @@ def line_posterior(equations: Equations, exponents: Exponents, draws: int,
         row_group.redundancy[...] += _redundancy_matrices(q, row_group.rows)
     return LinePosterior(
         log_factor=log_factor[group, size], square=square[group, size], errors=errors,
-        groups=tuple(row_groups), coefficients=coefficients,
+        groups=tuple(row_groups), coefficients=coefficients, sizes=grid[group] * LINE_SIZES[size, None],
         effective=count + (1.0 - shrink).sum(axis=1), freedom=freedom)
 
 
