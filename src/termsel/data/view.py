@@ -383,8 +383,8 @@ def _fit_projection(sightings: Sightings, size: int, affine_sigma: float) -> Cen
     """Return the projection with the least squares of distances in the image.
 
     `size` is that of the view, 3 or 4 columns, and `affine_sigma` (scaled) the noise that an affine
-    transformation leaves. None is returned if it is not clearly better than an affine transformation,
-    if the sightings do not determine it, and if some would be behind the camera.
+    transformation leaves. None is returned if it is not clearly better than that, if the sightings
+    do not determine it, and if some would be behind the camera.
     """
     matrix = _least_distance_matrix(sightings, size)
     if matrix is None:

@@ -330,7 +330,8 @@ def line_posterior(equations: Equations, exponents: Exponents, draws: int,
         row_group.redundancy[...] += _redundancy_matrices(q, row_group.rows)
     return LinePosterior(
         log_factor=log_factor[group, size], square=square[group, size], errors=errors,
-        groups=tuple(row_groups), coefficients=coefficients, sizes=grid[group] * LINE_SIZES[size, None],
+        groups=tuple(row_groups), coefficients=coefficients,
+        sizes=grid[group] * LINE_SIZES[size, None],
         effective=count + (1.0 - shrink).sum(axis=1), freedom=freedom)
 
 
