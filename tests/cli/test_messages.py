@@ -237,7 +237,7 @@ def test_the_method_of_an_rpc_asks_for_one(example_files: Path) -> None:
 
 @pytest.mark.parametrize(("words", "message"), [
     (["run", "x.csv", "--degree", "2"],
-     "there is no option --degree. Set it by --set degree=VALUE."),
+     "add --model poly3d --set degree=2; for points without heights, --model poly2d"),
     (["run", "--runs", "3"], "there is no option --runs.\n"),
     (["accuracy", "x", "--crs", "EPSG:4326"],
      "there is no option --crs. It belongs to termsel run, compare, rectify. Known: --survey"),
@@ -460,7 +460,7 @@ def utm_table(folder: Path, changed: dict[int, str]) -> str:
 
 def test_a_digit_too_many_in_one_row_is_not_taken_for_feet(tmp_path: Path) -> None:
     message = refused("run", utm_table(tmp_path, {3: "2700270"}))
-    assert "The other 9 rows are within the zone: is there a digit too many?" in message
+    assert "is it x = 270027, with the decimal point moved?" in message
     assert "feet" not in message
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import shlex
 import sys
 from collections import Counter
@@ -35,6 +36,9 @@ from termsel.core.version import __version__
 from termsel.plugins.commands import COMMANDS, GROUPS, PACKAGES
 
 CORRECTABLE = 2
+
+RECORD = "result.json"
+"""What the folder of a result has; its own module is not imported for a slip."""
 
 
 _UNWRITABLE = {errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF,
@@ -111,6 +115,8 @@ class Commands(click.Group):
             raise _unknown_command_error(args[0])
         if command is not None and not ctx.resilient_parsing:
             _refuse_repeated(command, args[1:])
+            _refuse_numbers_as_files(command, args[1:])
+            _refuse_exchanged(args[0], command, args[1:])
         return args[0], command, args[1:]
 
     def format_commands(
@@ -204,9 +210,10 @@ class Commands(click.Group):
             echo(error.format_message(), err=True)  # the help, and no fault
             sys.exit(CORRECTABLE)
         except click.ClickException as error:
+            words = sys.argv[1:] if args is None else args
             if isinstance(error, click.UsageError) and error.ctx is None:
-                error.ctx = self._context_of(sys.argv[1:] if args is None else args)
-            echo(cut(usage_message(error), 2000), err=True)
+                error.ctx = self._context_of(words)
+            echo(cut(usage_message(error, words), 2000), err=True)
             sys.exit(CORRECTABLE)
         except (click.Abort, KeyboardInterrupt):
             take_pending_interrupt()
@@ -295,16 +302,65 @@ def _refuse_repeated(command: click.Command, words: list[str]) -> None:
 
     Words that click cannot parse pass: the command itself says what is wrong with them.
     """
-    # The parser is that of click, so that abbreviations and clusters of flags count alike.
-    parser = command.make_parser(click.Context(command, resilient_parsing=True))
-    try:
-        order = parser.parse_args(list(words))[2]
-    except click.UsageError:
-        return
-    for option, times in Counter(order).items():
+    for option, times in Counter(_parsed(command, words)[2]).items():
         if times > 1 and isinstance(option, click.Option) and not (
                 option.multiple or option.is_flag or option.count):
             raise click.UsageError(f"{option.opts[0]} is given {times} times; it takes one value.")
+
+
+def _parsed(command: click.Command,
+            words: list[str]) -> tuple[dict[str, Any], list[str], list[click.Parameter]]:
+    """Return values by parameter, words without an option, and parameters in the order typed.
+
+    All are empty where click cannot parse the words.
+    """
+    # The parser is that of click, so that abbreviations and clusters of flags count alike.
+    parser = command.make_parser(click.Context(command, resilient_parsing=True))
+    try:
+        return parser.parse_args(list(words))
+    except click.UsageError:
+        return {}, [], []
+
+
+_BARE_NUMBER = re.compile(r"[+-]?[0-9]+([.,][0-9]+)?")
+
+
+def _refuse_numbers_as_files(command: click.Command, words: list[str]) -> None:
+    """Raise UsageError for a number where an option takes a file, unless a file is called so."""
+    values = _parsed(command, words)[0]
+    options = {param.name: param for param in command.params if isinstance(param, click.Option)}
+    for name, option in options.items():
+        value = values.get(name)
+        if (option.metavar != "FILE" or not isinstance(value, str) or os.path.exists(value)
+                or not _BARE_NUMBER.fullmatch(value)):
+            continue
+        remedy = "Give the name of a file."
+        if name == "dem" and "height" in options:
+            remedy = f"One height for all of the ground is given so: --height {value}."
+        elif name == "dem":
+            remedy = ("Give a raster of heights; heights of the points are the column z of their "
+                      "file.")
+        raise click.UsageError(f"{option.opts[0]} takes a file, and {value} is a number. {remedy}")
+
+
+def _refuse_exchanged(name: str, command: click.Command, words: list[str]) -> None:
+    """Raise TermselError where a file stands before the folder of its result, as typed, exchanged.
+    """
+    arguments = [param for param in command.params if isinstance(param, click.Argument)]
+    if [param.metavar for param in arguments[:1]] != ["DIR"] or len(arguments) < 2:
+        return
+    values = _parsed(command, words)[0]
+    file, folder = (values.get(str(param.name)) for param in arguments[:2])
+    if not (isinstance(file, str) and isinstance(folder, str) and os.path.isfile(file)
+            and os.path.isfile(os.path.join(folder, RECORD))):
+        return
+    exchanged = {file: folder, folder: file}
+    missing = [word for param in command.params if isinstance(param, click.Option)
+               and param.required and values.get(str(param.name)) is None
+               for word in (param.opts[0], str(param.metavar))]
+    typed = shlex.join([name, *(exchanged.get(word, word) for word in words), *missing])
+    raise TermselError("the folder of the result comes first, then the file", file=file,
+                       hint=f"Type termsel {typed}")
 
 
 def _print_alone(command: click.Command) -> click.Command:

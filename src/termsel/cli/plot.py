@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 
 import click
 
@@ -29,10 +30,10 @@ class ChartName(click.Choice[str]):
 @click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 @click.argument("kind", metavar="KIND", type=ChartName(CHART_NAMES))
-@click.option("--output", "-o", metavar="FILE", required=True, type=click.Path(path_type=Path),
+@click.option("--output", "-o", metavar="FILE", type=click.Path(path_type=Path),
               help="The picture to write; its name ends in .svg, .png or .pdf.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
-def plot(folder: Path, kind: str, output: Path, overwrite: bool) -> None:
+def plot(folder: Path, kind: str, output: Path | None, overwrite: bool) -> None:
     """Draw a chart of a result as SVG, PNG or PDF.
 
     DIR is the folder that a run wrote with --out. KIND is one of:
@@ -56,18 +57,24 @@ def plot(folder: Path, kind: str, output: Path, overwrite: bool) -> None:
       termsel plot result residuals -o residuals.svg
       termsel plot result baselines -o baselines.png
     """
-    refuse_stdout(output)
+    if output is not None:
+        refuse_stdout(output)
     show_messages()
 
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import read_result
-    from termsel.results.plots import require_picture, save, styled_chart
+    from termsel.results.plots import require_chart, require_picture, save, styled_chart
     from termsel.studies.cells.folder import PLAN
 
     if (folder / PLAN).is_file():
         raise TermselError("this is the folder of a study, and a picture is of one result",
                            file=folder, hint="Its own pictures are in figures; the folder of an "
                                              "image is in images.")
+    if output is None:
+        # Nobody needs a name for a chart that the result does not have.
+        require_chart(read_result(folder).view, kind)
+        raise TermselError("--output FILE is missing: the picture to write, .svg, .png or .pdf",
+                           hint=f"Type termsel plot {quote(str(folder))} {kind} -o {kind}.svg")
     require_picture(output)
     # Whether it may be written is known before the charts are drawn, which takes seconds.
     require_replaceable([output], reads=[folder], overwrite=overwrite)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shlex
 from pathlib import Path
 
 import click
@@ -72,15 +70,8 @@ def rectify(context: click.Context, folder: Path, image: Path, output: Path, dem
     from termsel.data.cog import require_tiff_name
     from termsel.io.rectify import rectify as warp
     from termsel.io.replacing import require_replaceable
-    from termsel.io.result_folder import RECORD, read_result
+    from termsel.io.result_folder import read_result
     from termsel.studies.maps import is_batch
-
-    # os.path instead of pathlib, whose is_file raises for names that the system refuses.
-    if os.path.isfile(folder) and os.path.isfile(image / RECORD):
-        raise TermselError("the folder of the result comes before the image", file=folder,
-                           hint=f"termsel rectify {shlex.quote(str(image))} "
-                                f"{shlex.quote(str(folder))} --output {shlex.quote(str(output))}, "
-                                "with the other options.")
 
     if is_batch(folder):
         if sigma is not None:

@@ -28,15 +28,17 @@ _IS_FOLDER = re.compile(r"File '(.*)' is a directory", re.DOTALL)
 _LOST = re.compile(r"(?:Directory|File|Path) '(.*)' does not exist", re.DOTALL)
 
 
-def usage_message(error: click.ClickException) -> str:
+def usage_message(error: click.ClickException, words: Sequence[str] = ()) -> str:
     """Return the fault of a command line, what to type instead, and where the options are listed.
+
+    `words` are those that were typed.
     """
     path = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else ""
     # A MissingParameter is a BadParameter as well, and so comes before it.
     if isinstance(error, click.MissingParameter):
         lines = _lines_on_missing(error)
     elif isinstance(error, click.NoSuchOption):
-        lines = [_unknown_option_message(error)]
+        lines = [_unknown_option_message(error, words)]
     elif isinstance(error, click.BadOptionUsage):
         lines = [_without_value(error)]
     elif isinstance(error, click.BadParameter) and error.param is not None:
@@ -108,32 +110,49 @@ def without_set(text: str) -> str:
     return _EXCHANGES.sub("exchange the names of the two columns in the header of the file", text)
 
 
-def _unknown_option_message(error: click.NoSuchOption) -> str:
+def _unknown_option_message(error: click.NoSuchOption, words: Sequence[str]) -> str:
     """Return the message for an unknown option, with the option that may be meant.
 
     Where none is near, it names the commands that have such an option, and all options of this
-    command if they are few.
+    command if they are few. `words` are those that were typed.
     """
     params = error.ctx.command.params if error.ctx is not None else ()
-    key = error.option_name.lstrip("-").replace("-", "_")
+    name = error.option_name
     own = {option for param in params for option in param.opts}
-    meant = [f"--{name}" for name in _ALSO_CALLED.get(key.replace("_", "-"), ())
-             if f"--{name}" in own]
+    missing = f"there is no option {name}."
+    meant = [f"--{other}" for other in _ALSO_CALLED.get(name.lstrip("-").replace("_", "-"), ())
+             if f"--{other}" in own]
     # Another word for an option of this command comes before an option of some model or solver.
     if meant:
-        return f"there is no option {error.option_name}. Did you mean {meant[0]}?"
-    if any("--set" in param.opts for param in params) and key in _options_of_set():
-        return f"there is no option {error.option_name}. Set it by --set {key}=VALUE."
+        return f"{missing} Did you mean {meant[0]}?"
+    others = _commands_with(name, error.ctx)
+    elsewhere = f" It belongs to termsel {first_names_in_words(others, 4)}." if others else ""
+    if "--set" in own:
+        key = name.lstrip("-").replace("-", "_")
+        if key == "height" and "--dem" in own:
+            return (f"{missing}{elsewhere} Heights of the points are the column z of their file; "
+                    "points without heights get them from a raster: --dem FILE.")
+        advice = _advice_of_set(key, _typed_value(name, words))
+        if advice:
+            return f"{missing}{elsewhere} {advice}"
     options = [max(param.opts, key=len) for param in params
                if isinstance(param, click.Option) and not param.hidden]
-    others = _commands_with(error.option_name, error.ctx)
     # An option that another command has is not misspelt.
-    near = _nearest_option(error.option_name, options, is_spelt_right=bool(others))
+    near = _nearest_option(name, options, is_spelt_right=bool(others))
     if near:
-        return f"there is no option {error.option_name}. Did you mean {near}?"
-    elsewhere = f" It belongs to termsel {first_names_in_words(others, 4)}." if others else ""
+        return f"{missing} Did you mean {near}?"
     listed = f" Known: {', '.join(options)}." if 0 < len(options) <= _MOST_OPTIONS else ""
-    return f"there is no option {error.option_name}.{elsewhere}{listed}"
+    return f"{missing}{elsewhere}{listed}"
+
+
+def _typed_value(option: str, words: Sequence[str]) -> str:
+    """Return the value that was typed for an option, as a shell takes it; VALUE where none was."""
+    for word, following in zip(words, [*words[1:], ""], strict=False):
+        name, _, value = word.partition("=")
+        if name == option:
+            value = value or following
+            return "VALUE" if not value or value.startswith("--") else shlex.quote(value)
+    return "VALUE"
 
 
 def _nearest_option(typed: str, options: Sequence[str], is_spelt_right: bool) -> str:
@@ -167,19 +186,40 @@ def _commands_with(option: str, ctx: click.Context | None) -> list[str]:
             and any(option in param.opts for param in command.params)]
 
 
-def _options_of_set() -> set[str]:
-    """Return the names of all options of ``--set``: of data, searches and installed things."""
+def _advice_of_set(key: str, value: str) -> str:
+    """Return how an option is set that no command has: by --set, with the part it is of; or "".
+
+    An option of a model, solver or criterion is refused without that part, so that the part is
+    named with it. Options of data stand alone, and so do those that every search has.
+    """
+    from termsel.io.read import read_options
     from termsel.plugins.registry import registry
-    from termsel.runs.request import DATA_OPTIONS
+    from termsel.runs.request import DATA_OPTIONS, first_choices, owners_of_options
     from termsel.selection.solvers.budget import SEARCH_OPTIONS
 
-    names = {option.name for option in (*DATA_OPTIONS, *SEARCH_OPTIONS)}
-    for kind in ("problems", "models", "solvers", "criteria", "readers"):
-        for entry in registry().entries(kind):
-            # Problems have options, classes declare theirs.
-            owned = entry.object.options if kind == "problems" else entry.object.declared_options
-            names |= {option.name for option in owned}
-    return names
+    setting = f"--set {key}={value}"
+    alone = {option.name for option in (*DATA_OPTIONS, *SEARCH_OPTIONS, *read_options())}
+    of_camera = f"camera_{key}"
+    if of_camera in alone:
+        return f"Of a camera that is known: --set {of_camera}={value}."
+    if key in alone:
+        return f"Set it by {setting}."
+    owners = owners_of_options()
+    if key in owners:
+        role, *names = owners[key]
+        first, *without_heights = first_choices(role, names)
+        others = "".join(f"; for points without heights, --{role} {name} {setting}"
+                         for name in without_heights)
+        return f"It is an option of the {role} {first}: add --{role} {first} {setting}{others}."
+    for entry in registry().entries("problems"):
+        if key in {option.name for option in entry.object.options}:
+            return (f"It is an option of the problem {entry.name}: add --problem {entry.name} "
+                    f"{setting}.")
+    for entry in registry().entries("readers"):
+        if key in {option.name for option in entry.object.declared_options}:
+            return (f"It is an option of the format {entry.name}: add --format {entry.name} "
+                    f"{setting}.")
+    return ""
 
 
 _ALSO_CALLED = {
@@ -190,7 +230,7 @@ _ALSO_CALLED = {
     "force": ("overwrite",), "yes": ("overwrite",), "runs": ("seeds", "repeats"),
     "repeats": ("seeds",), "seed": ("seeds",), "elevation": ("dem",), "dsm": ("dem",),
     "dtm": ("dem",), "heights": ("dem",), "silent": ("quiet",), "folder": ("out",),
-    "o": ("out", "output"), "resume": ("checkpoint",), "continue": ("checkpoint",),
+    "o": ("out", "output"), "n": ("count",), "resume": ("checkpoint",), "continue": ("checkpoint",),
     "format": ("to",)}
 """Options by how other programs call them."""
 
@@ -297,6 +337,8 @@ def _bad_value(error: click.BadParameter, param: click.Parameter) -> str:
         question = f" Did you mean {near[0]!r}?" if near else ""
         word = repr(typed_word[1]) if typed_word else "another word"
         listed = ", ".join(choices[:-1])
+        if typed_word and typed_word[1].rstrip("s") == "format" and "readers" in choices:
+            return "Formats are of two kinds: termsel list readers, or termsel list writers."
         if name == "KIND" and typed_word and typed_word[1].rstrip("s") == "plugin":
             return "Plugins are no kind of thing that they provide. termsel plugins lists them."
         return f"{name} is {word}, expected {listed} or {choices[-1]}.{question}"
@@ -332,6 +374,11 @@ def _extra_words(error: click.ClickException) -> str:
     usage = " ".join(ctx.command.collect_usage_pieces(ctx))
     takes_words = any(isinstance(param, click.Argument) for param in ctx.command.params)
     remedy = "A name with spaces needs quotation marks." if takes_words else "Leave it out."
+    file_options = [option.opts[0] for option in ctx.command.params
+                    if isinstance(option, click.Option) and option.metavar == "FILE"
+                    and option.opts[0] != "--output"]
+    if Path(extra[1]).is_file() and file_options:
+        remedy = f"Options that take a file: {', '.join(file_options)}."
     if any("--points" in param.opts for param in ctx.command.params):
         remedy = f"A file of points is given so: --points {shlex.quote(extra[1])}."
         if Path(extra[1]).is_dir():

@@ -251,7 +251,8 @@ def _rpc_of_head(path: Path, head: bytes, rpc_name: str) -> Rpc:
         items, items_of_bands, metadata = _rpc_items_of_image(path)
         if not items and not items_of_bands:
             raise TermselError("this image has no RPC that GDAL finds", file=path,
-                               hint=f"Expected {KNOWN}.")
+                               hint="Give the file of its RPC, or leave it out: without one the "
+                                    f"points alone are fitted. Files of RPCs are {KNOWN}.")
         if items and not rpc_name:
             return _with_control_beside(with_control(from_items(items), metadata), path)
         return _choose_rpc(items_of_bands, rpc_name, bands=True)

@@ -16,7 +16,14 @@ from termsel.core.errors import (
     rounded_size_text,
 )
 from termsel.data.coordinates.crs import LOCAL, is_geographic, short_crs_name
-from termsel.data.record.cautions import BEYOND_RPC, CONTRADICT, MIRRORED, ROUNDED, SWAPPED_IMAGE
+from termsel.data.record.cautions import (
+    BEYOND_RPC,
+    CONTRADICT,
+    MIRRORED,
+    ROUNDED,
+    SLIP,
+    SWAPPED_IMAGE,
+)
 from termsel.data.record.figures import (
     EXACTLY,
     FEW_EVALUATIONS,
@@ -885,6 +892,9 @@ def next_step_for_user(record: Record, folder: str = "", command: str = "",
     if are_errors_large(record):
         word = record.data.counts.word
         return f"Next: check the {word}, their columns, units and CRS, then run again"
+    if slip := _note_with(record, SLIP):
+        return (f"Next: correct {slip.partition(SLIP)[0]} in the file if its source says so, then "
+                "run again")
     if not folder:
         return "Not saved: add --out DIR, then termsel report DIR"
     if (not record.data.counts.independent and record.data.counts.word == "points"

@@ -104,7 +104,8 @@ KINDS = {kind.name: kind for kind in (
         "If the error rises at independent check points and still falls at selection points, "
         "further terms fit noise.",
         _front_and_member,
-        lambda view: "" if view.record.front else "its search had one objective"),
+        lambda view: "" if view.record.front else "its model was chosen without a search"
+        if view.record.strategy else "its search had one objective"),
     ChartKind(
         "convergence", "Convergence of the search",
         "The best value should be level at the end. If it still falls, give the search more "
@@ -180,6 +181,15 @@ def chart_block(view: View | None, name: str, drawn: Any = None) -> Iterator[Fig
                      kind.draw(view) if drawn is None else drawn, kind.keeps_ratio)
 
 
+def require_chart(view: View, name: str) -> None:
+    """Raise TermselError, which names the charts that there are, where a view lacks one."""
+    # A report leaves a gap, but here the user asked for the chart by its name.
+    if why := kind_of(name).missing(view):
+        names = ", ".join(kind.name for kind in KINDS.values() if not kind.missing(view))
+        raise TermselError(f"this result has no chart {name}: {why}",
+                           hint=f"Charts that it has: {names}.")
+
+
 def styled_chart(view: View, name: str) -> Any:
     """Return a chart in the common style, with its title and how to read it.
 
@@ -195,12 +205,8 @@ def styled_chart(view: View, name: str) -> Any:
         If altair is not installed, there is no such kind, or the result has no such chart.
     """
     require_altair()
+    require_chart(view, name)
     kind = kind_of(name)
-    # A report leaves a gap, but here the user asked for the chart by its name.
-    if why := kind.missing(view):
-        names = ", ".join(kind.name for kind in KINDS.values() if not kind.missing(view))
-        raise TermselError(f"this result has no chart {name}: {why}",
-                           hint=f"Charts that it has: {names}.")
     caption = kind.caption(view)
     if name in LINKED:
         caption = f"{caption} {maps.cut_in_image(view)}".strip()

@@ -48,6 +48,7 @@ from termsel.runs.exported_rpc import doubt_of_rpc
 from termsel.runs.finding import Finding, plugins_of
 from termsel.runs.judgement import best_conventional, judge_choice
 from termsel.runs.request import Request
+from termsel.runs.slips import notes_on_slips
 from termsel.runs.task import LEAST
 from termsel.runs.verdict import Verdict, judge_features, judge_independent
 from termsel.selection.problems.base import Evaluation, Selection
@@ -216,6 +217,9 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
                       note_on_projection=note_on_projection).notes(
         INTERRUPTED.format(min(watch.count, watch.methods), watch.methods)
         if outcome.interrupted else "", contradicting.notes, note_on_terms)
+    if predicted is not None:
+        outliers = (*verdict.outliers, *contradicting.outliers)
+        notes = (*notes_on_slips(request.features, outliers, fitted, predicted.rmse), *notes)
 
     @cache  # they are asked for by who judges and by who writes
     def baselines(in_roles: Observations) -> tuple[Baseline, ...]:

@@ -407,17 +407,24 @@ _MISSPELT = 0.8
 
 
 def _choice_of(role: str, names: Sequence[str]) -> str:
-    """Return which part that has an option to choose, of the criteria, models or solvers `names`.
+    """Return which of the criteria, models or solvers `names` to choose, as it has an option."""
+    first, *without_heights = first_choices(role, names)
+    others = f", or {without_heights[0]} for points without heights" if without_heights else ""
+    return f"Choose --{role} {first}{others}"
 
-    Of models with and without heights one of each is named, as they differ in what the points show.
+
+def first_choices(role: str, names: Sequence[str]) -> list[str]:
+    """Return the first of some criteria, models or solvers.
+
+    Of models with and without heights one of each is named, as they differ in what the points show;
+    that with heights comes first.
     """
     if role == "model":
         entries = {entry.name: entry.object for entry in registry().entries("models")}
         with_heights = [name for name in names if entries[name].uses_height]
         without = [name for name in names if name not in with_heights]
-        if with_heights and without:
-            return (f"Choose --model {with_heights[0]}, or {without[0]} for points without heights")
-    return f"Choose --{role} {names[0]}"
+        return [*with_heights[:1], *without[:1]]
+    return [names[0]]
 
 
 def owners_of_options() -> dict[str, list[str]]:

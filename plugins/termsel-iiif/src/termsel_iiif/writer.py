@@ -46,7 +46,8 @@ class AnnotationWriter(Writer):
 
     name = FORMAT_NAME
     summary = "control points as a IIIF georeference annotation, for Allmaps and other viewers"
-    needs = "points with a CRS; --set image_id=URL unless an annotation was read"
+    needs = ("points with a CRS, and the address of the image in IIIF: --set "
+             "image_id=https://example.org/iiif/map1")
     suffix = "_annotation.json"
     declared_options: ClassVar[tuple[Option, ...]] = (_IMAGE_ID, _SERVICE)
 

@@ -98,7 +98,8 @@ def read_matches(path: Path) -> tuple[FloatArray, FloatArray]:
         cells = text.split()
         if not _is_interest_point(cells):
             raise TermselError("this row is not an interest point", file=path, line=number,
-                               hint="Expected x, y and nine further numbers.")
+                               hint="Expected x, y and nine further numbers. The file is cut or "
+                                    "damaged: copy it again, or run ASP again.")
         # The text has x before y; positions are line and sample.
         positions.append([float(cells[1]), float(cells[0])])
     of_images = np.array(positions)

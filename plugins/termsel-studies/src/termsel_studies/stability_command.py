@@ -79,7 +79,8 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
         _write_frequencies(repeated, run_settings.out)
         if export_files or page:
             raise TermselError("the stable terms alone are no model, so nothing is exported",
-                               hint="Lower --threshold.")
+                               hint="Lower --threshold, such as --threshold 0.5, or raise "
+                                    "--repeats.")
     if repeated.interrupted:
         echo(f"Interrupted after {len(repeated.selections)} of {repeats} selections.", err=True)
         sys.exit(INTERRUPTED)

@@ -10,8 +10,8 @@ RASTERS = frozenset((".tif", ".tiff", ".jp2", ".jpg", ".jpeg", ".png", ".img", "
                      ".gif", ".bmp", ".bil"))
 """Images and maps of pixels."""
 
-PAGES = frozenset((".html", ".htm", ".pdf", ".svg"))
-"""Reports and charts, which termsel writes and nobody measures."""
+PAGES = frozenset((".html", ".htm", ".pdf", ".svg", ".docx", ".doc", ".odt", ".rtf"))
+"""Reports, charts and letters, which hold no table of points that termsel reads."""
 
 SPREADSHEETS = frozenset((".xlsx", ".xlsm", ".xlsb", ".xls", ".ods"))
 

@@ -185,6 +185,9 @@ def refused_format_error(path: object, head: bytes, of: object = None) -> Termse
         reason = "this is a GeoPackage or another database, and termsel opens no raster in one"
         hint = ("If it holds vectors, give an image in its place: lines of a map are for termsel "
                 f"match-lines --vectors. If it holds a raster: {hint[len('Convert it: '):]}")
+    elif head.startswith(_ZIP):
+        reason = "this is a zip archive, and no raster is found in it"
+        hint = "Unpack it, and give the raster. One within is named so: FILE.zip/PLACE.tif."
     elif name:
         reason = f"this is a raster of the format {name}, which termsel does not open"
         hint = f"{hint} {DRIVER_HINT.format(name=name)}"
@@ -204,6 +207,8 @@ def refused_format_error(path: object, head: bytes, of: object = None) -> Termse
                             code=code)
     return TermselError(reason, file=path, hint=hint, code=code)
 
+
+_ZIP = b"PK\x03\x04"
 
 _DATABASE = b"SQLite format 3\0"
 

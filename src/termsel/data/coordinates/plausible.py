@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from shlex import quote
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from termsel.data.coordinates.earth import (
 from termsel.data.coordinates.height_units import FOOT, UNITS, US_FOOT, is_unit_open
 from termsel.data.coordinates.metres import is_in_degrees
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
+from termsel.data.slips import slip_among
 
 _NEAR_ORIGIN = 1000.0  # metres from the origin of a CRS
 _FAR_SPREADS = 10.0  # from the origin, as many times the spread of a scene do not reach it
@@ -323,9 +325,31 @@ def _refuse_outside_range(xy: FloatArray, features: FeatureSet, low: tuple[float
     else:
         hint = hint_of()
     first = int(np.argmax(is_outside))
-    name, column = _name_vertex(features, first, int(np.argmax(beyond[first])))
+    axis = int(np.argmax(beyond[first]))
+    name, column = _name_vertex(features, first, axis)
+    if is_outside.mean() <= _FEW_OUTSIDE:
+        slip = _hint_of_slip(xy[first], xy[~is_outside], axis, column, name)
+        hint = slip or hint
     raise TermselError(f"{_feature_in_words(xy, name, first)} {problem}", hint=hint, ids=[name],
                        column=column)
+
+
+def _hint_of_slip(xy: FloatArray, others: FloatArray, axis: int, column: str, name: str) -> str:
+    """Return a sentence on the slip by which coordinates (2,) are outside those of others (n, 2).
+
+    `axis` is the one at fault, `column` its name and `name` the feature. Returns "" where no single
+    slip explains it.
+    """
+    low, high = others.min(axis=0), others.max(axis=0)
+    remedy = f"Correct it, or leave it out: --off {quote(name)}."
+    if ((xy[::-1] >= low) & (xy[::-1] <= high)).all():
+        return f"x and y look exchanged in this row: those of the others are not. {remedy}"
+    slip = slip_among(float(xy[axis]), others[:, axis])
+    if slip is None:
+        return ""
+    likely, reason = slip
+    return (f"The others are between {low[axis]:.10g} and {high[axis]:.10g}: is it {column} = "
+            f"{likely:.10g}, with {reason}? {remedy}")
 
 
 def _name_vertex(features: FeatureSet, i: int, axis: int) -> tuple[str, str]:

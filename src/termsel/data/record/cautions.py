@@ -35,6 +35,9 @@ BEYOND_RPC = ", are outside those of the RPC, "
 ROUNDED = ", as if rounded: "
 """What a note has in it on coordinates with too few decimals."""
 
+SLIP = " would fit to "
+"""What a note has in it on an outlier that is a slip of the pen."""
+
 MIRRORED = ", so that a map would be mirrored: "
 """What a note has in it on an image whose lines or samples seem to run the other way."""
 

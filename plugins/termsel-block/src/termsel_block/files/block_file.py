@@ -321,7 +321,8 @@ def _read_image(stated: _Image, common: _Common) -> BlockImage:
         file = getattr(stated, key)
         if file and not (folder / file).exists():
             raise TermselError(f"the file {file!r}, {key} of image {stated.name!r}, does not exist",
-                               file=path, hint=f"Its place is counted from {folder.resolve()}.")
+                               file=path, hint="Correct its name, or put it there: names count "
+                                    f"from {folder.resolve()}.")
     raster = folder / stated.image if stated.image else None
     size = None
     if raster is not None:

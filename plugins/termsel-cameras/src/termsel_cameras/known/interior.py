@@ -418,6 +418,12 @@ def _with_position(interior: Interior, stated: Mapping[str, str]) -> Interior:
     return interior
 
 
+_NUMBERS_OF = {
+    "camera_position": "x, y and z in the CRS of the points, then the standard deviations of the "
+                       "position and of z, if they are known"}
+"""What the numbers of an option are."""
+
+
 def _parse_numbers(stated: Mapping[str, str], name: str, counts: Any) -> tuple[float, ...]:
     """Return the numbers of the text `stated[name]`, such as "1,2,3".
 
@@ -428,7 +434,8 @@ def _parse_numbers(stated: Mapping[str, str], name: str, counts: Any) -> tuple[f
     except ValueError:
         numbers = ()
     if len(numbers) not in counts or not np.isfinite(numbers).all():
-        hint = f"It takes {' or '.join(map(str, counts))} numbers with commas between."
+        hint = f"It takes {' or '.join(map(str, counts))} numbers with commas between"
+        hint = f"{hint}: {_NUMBERS_OF[name]}." if name in _NUMBERS_OF else f"{hint}."
         if list(counts) == [1]:
             hint = "It takes a number."
         raise TermselError(f"{name} does not accept {stated[name]!r:.80}", hint=hint)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import shlex
 import shutil
@@ -13,6 +14,8 @@ import numpy as np
 
 from termsel import Result, TermselError
 from termsel.toolkit import private_folder, require_rasterio
+
+log = logging.getLogger(__name__)
 
 _PICTURES = (".tif", ".tiff", ".jp2", ".jpg", ".jpeg", ".png", ".ntf", ".img", ".vrt")
 _STEM = re.compile(r"(?P<stem>.+?)(?P<rest>_rpc\.txt|\.rpb|\.t(?:i?f)?w|\.tifw|\.jgw|\.pgw|\.j2w"
@@ -41,6 +44,7 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
     match = _STEM.fullmatch(path.name)
     is_auxiliary = path.name.lower().endswith(_AUXILIARY)
     if not match and not is_auxiliary:
+        _warn_of_world_files(path)
         yield path
         return
     # scene.tif.aux.xml belongs to scene.tif; scene.tfw and scene_RPC.TXT to any scene.* image.
@@ -52,7 +56,7 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
         candidates = [entry for entry in sorted(path.parent.iterdir())
                       if entry.stem == stem and entry.suffix.lower() in _PICTURES]
     picture = next((candidate for candidate in candidates if candidate.is_file()), None)
-    is_world_file = match is not None and match["rest"].lower() not in ("_rpc.txt", ".rpb")
+    is_world_file = match is not None and _is_world_file(match)
     if picture is not None:
         if is_world_file:
             _require_world_file(path)
@@ -77,6 +81,23 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
         name = f"{image.name}{_AUXILIARY}" if is_auxiliary else f"image{match['rest']}"  # type: ignore[index]
         shutil.copy(path, folder / name)
         yield image
+
+
+def _warn_of_world_files(picture: Path) -> None:
+    """Warn of each world file beside a picture that programs ignore, as it is none."""
+    for entry in sorted(picture.parent.iterdir()):
+        match = _STEM.fullmatch(entry.name)
+        if match is None or match["stem"] != picture.stem or not _is_world_file(match):
+            continue
+        try:
+            _require_world_file(entry)
+        except TermselError as error:
+            log.warning("Warning: %s", error)
+
+
+def _is_world_file(match: re.Match[str]) -> bool:
+    """Return whether the name of a file is that of a world file, and not of an RPC."""
+    return match["rest"].lower() not in ("_rpc.txt", ".rpb")
 
 
 def _folder_error(folder: Path) -> TermselError:

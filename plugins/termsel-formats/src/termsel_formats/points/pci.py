@@ -52,7 +52,8 @@ class PciGcp(Reader):
         complete_lines = head.decode("utf-8", "replace").rpartition("\n")[0]
         rows = [row for _, row in _numbered_rows(complete_lines)]
         return bool(rows) and all(
-            len(row) - (row[-1] in _ROLES) in _USUAL_COLUMNS and _are_numbers(row[1:5])
+            len(row) - (len(row[-1]) == 1 and row[-1].isalpha()) in _USUAL_COLUMNS
+            and _are_numbers(row[1:5])
             for row in rows)
 
     def read(self, path: Path) -> FeatureSet:
@@ -83,7 +84,8 @@ class PciGcp(Reader):
             for number, status in zip(lines, columns["role"], strict=True):
                 if status not in _ROLES:
                     raise TermselError(f"{status!r:.20} is no status", file=path, line=number,
-                                       hint="Write G, C or I.")
+                                       hint="Write G for control, C for a check point, or I for a "
+                                            "point that is out of use.")
             columns["role"] = [_ROLES[status] for status in columns["role"]]
         table = Table(path, "", {name: name for name in columns}, columns, lines)
         # PCI counts from the corner of the first pixel.

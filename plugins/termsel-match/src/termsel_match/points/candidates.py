@@ -14,6 +14,7 @@ from time import monotonic
 import numpy as np
 
 from termsel import FeatureSet, Points, TermselError, get, open_dem
+from termsel.toolkit import count_in_words
 from termsel_match.images.masks import open_masked, warn_of_idle_masks
 from termsel_match.images.overview import start_by_overview
 from termsel_match.images.positions import require_same_area
@@ -173,7 +174,8 @@ def match_points(
             n_found = len(attempts[-1][0])
             if n_found >= max(LEAST_CANDIDATES, count / _SMALL_PART) or looking.is_over:
                 break
-            log.info("Note: the matcher %s finds %d candidates.", matcher_class.name, n_found)
+            log.info("Note: the matcher %s finds %s.", matcher_class.name,
+                     count_in_words(n_found, "candidate") if n_found else "no candidates")
         # The matcher that finds more is the one to take.
         points, crs, cells = max(attempts, key=lambda attempt: len(attempt[0]))
         size = picture.size
