@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 import re
 import stat
 from pathlib import Path
@@ -49,8 +50,8 @@ def points_csv(source, fields):
     Raises
     ------
     QgsProcessingException
-        If there is no field of line or sample, a feature has no geometry or no number as line or
-        sample, or the layer has no CRS.
+        If there is no field of line or sample, a feature has no geometry, several points or no
+        number as line or sample, or the layer has no CRS.
     """
     names = {meaning: _find_field(source, meaning, fields.get(meaning)) for meaning in KNOWN}
     for meaning in ("line", "sample"):
@@ -117,19 +118,24 @@ def _point_cells(feature, names, number):
     """Return the cells of a feature of the layer of points: id, role, line, sample, x, y, z.
 
     `names` are the names of the layer's fields by meaning, None where there is none. A feature
-    without an id is called P followed by `number`; x and y are those of its first vertex. Cells
-    without a value are "".
+    without an id is called P followed by `number`; x and y are those of its point. Cells without
+    a value are "".
 
     Raises
     ------
     QgsProcessingException
-        If the feature has no geometry, or its line or sample is no number.
+        If the feature has no geometry or several points, or its line or sample is no number.
     """
     geometry = feature.geometry()
     if geometry.isNull() or geometry.isEmpty():
         raise QgsProcessingException(f"Feature {feature.id()} of the layer of points has no "
                                      "geometry.")
-    vertex = next(geometry.vertices())
+    vertex, *others = geometry.vertices()
+    if others:
+        raise QgsProcessingException(
+            f"Feature {feature.id()} of the layer of points has {len(others) + 1} points for one "
+            "line and sample. Make each a feature, as Multipart to singleparts does, with its own "
+            "line and sample.")
 
     def cell(meaning):
         """Return the value of a field by its meaning; "" for NULL, and without such a field."""
@@ -147,7 +153,8 @@ def _point_cells(feature, names, number):
                 "out.") from None
     # A field of heights comes before the z of the geometry, which may be there by accident.
     height = cell("z")
-    if height == "" and QgsWkbTypes.hasZ(geometry.wkbType()):
+    # A point that was drawn without a height has NaN for z.
+    if height == "" and QgsWkbTypes.hasZ(geometry.wkbType()) and math.isfinite(vertex.z()):
         height = repr(vertex.z())
     return [cell("id") or f"P{number}", cell("role"), cell("line"), cell("sample"),
             repr(vertex.x()), repr(vertex.y()), height]

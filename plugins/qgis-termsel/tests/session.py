@@ -41,7 +41,7 @@ from qgis.PyQt.QtWidgets import QApplication, QDockWidget
 from qgis.utils import iface, plugins
 from qgis_termsel import child
 from qgis_termsel.dock import CHECKED
-from qgis_termsel.layers import shade_uncertainty, stated_crs, write_table
+from qgis_termsel.layers import points_csv, shade_uncertainty, stated_crs, write_table
 
 folder = Path(os.environ["TERMSEL_PLACE"])
 registry, project = QgsApplication.processingRegistry(), QgsProject.instance()
@@ -259,6 +259,19 @@ def wrong():
     feature.setGeometry(QgsGeometry(QgsPoint(48.5, 34.8)))
     words.dataProvider().addFeatures([feature])
     told["no number"] = run("georeference", POINTS=words, OUTPUT=str(folder / "none"))
+    pairs = QgsVectorLayer("MultiPoint?crs=EPSG:4326&field=row:double&field=col:double", "p",
+                           "memory")
+    pair = QgsFeature(pairs.fields())
+    pair.setAttributes([12.0, 3.0])
+    pair.setGeometry(QgsGeometry.fromWkt("MultiPoint((48.5 34.8), (48.6 34.8))"))
+    pairs.dataProvider().addFeatures([pair])
+    told["two points"] = run("georeference", POINTS=pairs, OUTPUT=str(folder / "none"))
+    drawn = QgsVectorLayer("PointZ?crs=EPSG:4326&field=row:double&field=col:double", "p", "memory")
+    point = QgsFeature(drawn.fields())
+    point.setAttributes([12.0, 3.0])
+    point.setGeometry(QgsGeometry(QgsPoint(48.5, 34.8, float("nan"))))
+    drawn.dataProvider().addFeatures([point])
+    told["without heights"] = Path(points_csv(drawn, {})[0]).read_text().splitlines()
     told["neither"] = run("georeference", OUTPUT=str(folder / "none"))
     told["taken"] = run("georeference", FILE=str(folder / "gcps.csv"),
                         OUTPUT=str(folder / "quadratic"))
