@@ -208,7 +208,8 @@ def test_a_batch_runs_its_rows(told: dict[str, Any], place: Place) -> None:
 @pytest.mark.parametrize(("case", "message"), [
     ("no fields", "no field that is known as line"), ("neither", "Give a layer or a file"),
     ("no number", "Feature 1 of the layer of points has 'twelve' in its field row"),
-    ("two points", "has 2 points for one line and sample"), ("taken", "has a result already"), ("cancelled", "Cancelled"), ("no points", "dem.tif"),
+    ("two points", "has 2 points for one line and sample"), ("taken", "has a result already"),
+    ("cancelled", "Cancelled"), ("no points", "dem.tif"),
     ("missing", "there is no command termsel"), ("no environment", "has no command termsel"),
     ("stopped setup", "Cancelled")])
 def test_what_is_wrong_is_one_sentence(told: dict[str, Any], case: str, message: str) -> None:
