@@ -526,7 +526,8 @@ class Fit(Glance):
         Errors of the control's ground coordinates, which no residual shows, are no part of it. For
         control points it includes that other models may be true, what the points do not show of
         heights, and what the model does not fit: see `termsel.fitting.uncertainty` and
-        `termsel.fitting.misfit`. For lines and few points the model's form is taken for true.
+        `termsel.fitting.misfit`. For lines alone or with few points the model's form is taken for
+        true, but in regularised polynomials.
 
         Parameters
         ----------
