@@ -137,7 +137,7 @@ def test_an_image_before_the_folder_of_its_result(files: Path, tmp_path: Path, r
     image, output = files / "scene.tif", tmp_path / "map.tif"
     done = call("rectify", image, result, "-o", output, "--height", 1800)
     assert done.exit_code == 2
-    assert f"termsel rectify {result} {image} --output {output}" in done.stderr
+    assert f"termsel rectify {result} {image} -o {output} --height 1800" in done.stderr
     assert not output.exists()
 
 

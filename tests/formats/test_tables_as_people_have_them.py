@@ -205,11 +205,16 @@ def test_run_and_fit_take_files_and_tables(tmp_path: Path) -> None:
         assert fitted.rmse(features.points) == termsel.fit(features, "affine").rmse(features.points)
 
 
-@pytest.mark.parametrize("given", [5, [1, 2], b"x", {"a": 3}, np.zeros((3, 5))])
-def test_other_types_are_refused_with_what_is_accepted(given: Any) -> None:
+ACCEPTED = "a FeatureSet, the name of a file, a DataFrame"
+
+
+@pytest.mark.parametrize(("given", "message"), [
+    (5, ACCEPTED), ([1, 2], ACCEPTED), (b"x", ACCEPTED),
+    ({"a": 3}, "Give each column a list"), (np.zeros((3, 5)), "Name the columns")])
+def test_other_types_are_refused_with_what_is_accepted(given: Any, message: str) -> None:
     for verb in (lambda: termsel.run(features=given, crs="local"),
                  lambda: termsel.fit(given, crs="local"), lambda: termsel.read(given, crs="local")):
-        with pytest.raises(TermselError, match="a FeatureSet, the name of a file, a DataFrame"):
+        with pytest.raises(TermselError, match=message):
             verb()
 
 

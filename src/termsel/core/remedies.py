@@ -20,7 +20,7 @@ _PLACEHOLDER = re.compile(r"[A-Z][A-Z0-9]*")
 _ARGUMENTS = {"res": ("resolution",), "points": ("points", "features", "result"),
               "output": ("output", "path", "out"), "out": ("out", "folder")}
 """Arguments that options are called otherwise in Python, the likeliest first."""
-_OF_READING = ("dem", "rpc", "image")
+_OF_READING = ("dem", "rpc")
 """Options that in Python belong to the reading of points, but for functions that have them too."""
 _FLAGS = {"overwrite": "overwrite=True", "no-final": "final=False", "final": "final=True",
           "verbose": "verbose=True", "quiet": "quiet=True"}

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 
 import numpy as np
 
-from termsel.core.errors import rounded_size_text
+from termsel.core.errors import TermselError, rounded_size_text
 from termsel.data.features import FeatureSet, FloatArray
 from termsel.data.record.cautions import SLIP
 from termsel.data.record.figures import Outlier
@@ -70,7 +71,7 @@ def _slip_that_fits(row: FloatArray, outlier: Outlier, fitted: Fit,
     slips = [*slips_of_row(row)]
     corrected = np.array([slip.row for slip in slips])
     # A plane model says nothing of heights, and no height explains its errors.
-    projected = fitted.project(np.vstack([row[None, 2:], corrected[:, 2:]]))
+    projected = _positions_where_possible(fitted, np.vstack([row[None, 2:], corrected[:, 2:]]))
     off = projected - np.vstack([row[None, :2], corrected[:, :2]])
     errors = np.abs(off[1:]).max(axis=1)
     moved = np.abs(off[1:] - off[0]).max(axis=1)
@@ -83,6 +84,18 @@ def _slip_that_fits(row: FloatArray, outlier: Outlier, fitted: Fit,
         return None, np.inf
     best = int(fitting[np.argmin(errors[fitting])])
     return slips[best], float(errors[best])
+
+
+def _positions_where_possible(fitted: Fit, ground: FloatArray) -> FloatArray:
+    """Return the positions (n, 2) [px] of places (n, 3), NaN of those that the model refuses.
+
+    A camera refuses what lies outside the CRS, as ten times an easting may.
+    """
+    positions = np.full((len(ground), 2), np.nan)
+    for i, place in enumerate(ground):
+        with suppress(TermselError):
+            positions[i] = fitted.project(place[None])[0]
+    return positions
 
 
 def _values_in_words(read: FeatureSet, row: FloatArray, slip: Slip) -> str:
