@@ -132,7 +132,6 @@ class Mixture:
         """Logarithm of the density of all points, those in use as right and the others as wrong."""
         return float(np.where(self.used, *self._log_densities).sum())
 
-
     def is_hardly_wrong(self, log_odds: float) -> BoolArray:
         """Return which points, (n,), are wrong with few odds, these at most where others are near.
 
