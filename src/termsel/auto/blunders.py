@@ -58,7 +58,6 @@ from termsel.auto.majority import (
 )
 from termsel.auto.memory import Memory
 from termsel.auto.misplaced import misplaced_points
-from termsel.auto.mixture import LENIENT_ODDS, MOSTLY_WRONG, Mixture, likelier_mixture
 from termsel.auto.robust import reweighted
 from termsel.auto.shrunken import Averaging
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
@@ -210,44 +209,13 @@ def _points_out_of_place(control: FitData, auto: Auto) -> tuple[BoolArray, BoolA
 def _verdict_on(control: FitData, auto: Auto) -> _Verdict | None:
     """Return what becomes of features whose places the image can show; None if they are too few.
 
-    Where another division of many points into right points and blunders makes them clearly likelier
-    than that by the usual tests, it is taken.
-    """
-    halves = Halves.of(control) if len(control) >= MIN_POINTS else None
-    by_majority = _majority_and_test(control, halves) if len(control) >= MIN_POINTS else None
-    verdict = _verdict_by_tests(control, auto, by_majority)
-    if verdict is None or halves is None:
-        return verdict
-    mixture = likelier_mixture(control, halves, verdict.used, verdict.test,
-                               by_majority=by_majority is not None)
-    return verdict if mixture is None else _verdict_by_mixture(control, auto, mixture)
-
-
-def _verdict_by_mixture(control: FitData, auto: Auto, mixture: Mixture) -> _Verdict:
-    """Return the verdict in which the points of a mixture are right, and those that they predict.
-
-    Another model than the polynomials may explain points that are hardly likelier wrong.
-    """
-    # Where most neighbours are wrong, agreement is by chance.
-    predictable = (mixture.log_odds > -LENIENT_ODDS) & (mixture.wrong_share < MOSTLY_WRONG)
-    used = _with_predicted_by_models(control, auto, mixture.used, predictable)
-    test = Division(control, used).test() or mixture.test
-    clear = test.beyond_chance(len(control)) & test.beyond_form()
-    polynomial = Division(control, used).shrunken_test() if test.by_field else None
-    return _Verdict(used, ~used, ~used & ~clear, np.zeros_like(used), test, polynomial)
-
-
-def _verdict_by_tests(control: FitData, auto: Auto,
-                      by_majority: tuple[BoolArray, Test] | None) -> _Verdict | None:
-    """Return what becomes of features by the usual tests; None if they are too few.
-
     In five steps: a core without blunders, and all that it predicts; what another model predicts
     as well; features that are likelier blunders than right; points that a bend of the image
-    explains, or a central projection; suspects that a camera model clears. `by_majority` are the
-    points that a majority agrees on, and their test, if there is one.
+    explains, or a central projection; suspects that a camera model clears.
     """
     everything = np.ones(len(control), dtype=bool)
     test_of_all = cache(Division(control, everything).shrunken_test)
+    by_majority = _majority_and_test(control) if len(control) >= MIN_POINTS else None
     if by_majority is not None:
         max_share = MAX_MINORITY
         used, test = by_majority
@@ -366,13 +334,12 @@ def _without_likely_blunders(control: FitData, used: BoolArray, max_share: float
     return retained
 
 
-def _majority_and_test(control: FitData,
-                       halves: Halves | None) -> tuple[BoolArray, Test] | None:
+def _majority_and_test(control: FitData) -> tuple[BoolArray, Test] | None:
     """Return the points that agree, (n,), and their test, where more than a third are blunders.
 
-    Returns None where no majority is clear, so that the usual search from a core will do. `halves`
-    are those of the control that agree best.
+    Returns None where no majority is clear, so that the usual search from a core will do.
     """
+    halves = Halves.of(control)
     return likeliest_majority(control, _majority_of_polynomials(control, halves), halves)
 
 
@@ -441,7 +408,7 @@ def agreement(control: FitData) -> BoolArray | None:
     # So few points may agree by chance: this warns, and nothing is left out for it.
     if len(control) >= MIN_POINTS:
         return None
-    by_majority = _majority_and_test(control, Halves.of(control))
+    by_majority = _majority_and_test(control)
     return None if by_majority is None else by_majority[0]
 
 

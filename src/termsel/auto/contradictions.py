@@ -87,8 +87,6 @@ class Test:
     freedom: int  # degrees of freedom of the noise
     squares: FloatArray  # of the errors of features in use
     by_field: bool = False  # whether a random field predicts
-    # (n, 2): measured minus predicted, in line and sample [px]; None with lines
-    vectors: FloatArray | None = None
 
     def beyond_chance(self, n: int) -> BoolArray:
         """Return which of n features have an error that chance does not explain, (n,)."""
@@ -185,7 +183,7 @@ class Division:
         statistic = (errors**2 / (variance + noise)).sum(axis=1) / 2
         # The noise has the freedom of the points, whatever the field.
         freedom = process.solutions[0].posterior.freedom
-        rows = np.stack([*errors.T, chance_of(statistic, freedom), np.sqrt(statistic),
+        rows = np.stack([*np.abs(errors.T), chance_of(statistic, freedom), np.sqrt(statistic),
                          np.sqrt((1 + variance / noise).max(axis=1))], axis=1)
         # A point in use is predicted by the others: its own measurement would hide its error.
         rows[used] = _point_figures(process.held_out)
@@ -193,7 +191,7 @@ class Division:
         pixels = rows[:, :2] * scaling.image_scale
         return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
                     float(np.sqrt(unit_noise[0])) * scaling.image_scale, freedom,
-                    (pixels[used] ** 2).sum(axis=1), by_field=True, vectors=pixels)
+                    (pixels[used] ** 2).sum(axis=1), by_field=True)
 
     def shrunken_test(self) -> Test | None:
         """Return the test by the regularised quadratic polynomial, or the cubic if clearly better.
@@ -243,8 +241,7 @@ class Division:
         statistic = (errors**2 * weights**2 / relative_variance).sum(axis=1) / 2 / noise
         return Test(np.abs(errors).max(axis=1), chance_of(statistic, freedom - 2),
                     np.sqrt(statistic), np.sqrt(relative_variance.max(axis=1)),
-                    float(np.sqrt(sum_in_use / freedom)), freedom, (errors[used]**2).sum(axis=1),
-                    vectors=errors)
+                    float(np.sqrt(sum_in_use / freedom)), freedom, (errors[used]**2).sum(axis=1))
 
     def likeliest_blunder(self) -> int | None:
         """Return the index of the point in use that is likeliest a blunder; None if none is likely.
@@ -381,7 +378,7 @@ class _PointPrediction:
         noise = float(np.sqrt(posterior.cells.share @ posterior.square / posterior.freedom))
         return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
                     noise * self.image_scale, posterior.freedom,
-                    (pixels[self.order[:posterior.in_use]] ** 2).sum(axis=1), vectors=pixels)
+                    (pixels[self.order[:posterior.in_use]] ** 2).sum(axis=1))
 
 
 def _prediction_of_points(division: Division, degree: int) -> _PointPrediction | None:

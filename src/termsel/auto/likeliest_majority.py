@@ -28,12 +28,12 @@ from termsel.auto.contradictions import Division, Test, polynomial_of
 from termsel.auto.majority import (
     LEAST_VARIANCE,
     MAX_BLUNDER_SHARE,
+    MAX_DEVIATION,
     MAX_SAMPLED_POINTS,
     MIN_POINTS,
     MIN_SEEN_POINTS,
     Halves,
     distances_from_fit,
-    is_affine_error,
     may_be_bend,
     polynomial_designs,
 )
@@ -285,10 +285,7 @@ class Likelihoods:
         if (~used).mean() <= MAX_BLUNDER_SHARE:
             return False
         judged = self.judge(used[None])
-        errors = judged.errors[0, ~used]
-        # The second and third term are the scaled coordinates of the plane.
-        if (not is_affine_error(self.design[~used, 1:3], errors)
-                and _may_be_relief(self.image[~used], errors)):
+        if _may_be_relief(self.image[~used], judged.errors[0, ~used]):
             return False
         # Of an error in line and sample the square over 2 variances is 1 in the mean by chance.
         squares = (judged.errors[0, ~used]**2).sum(axis=1)
@@ -314,6 +311,10 @@ def _may_be_relief(image: FloatArray, errors: FloatArray) -> bool:
     homogeneous coordinates, (w p - c) with w = 0 for one direction, that is the least singular
     value of the rows (e x p, e_sample, -e_line).
     """
+    # Errors that are all the same are a shift, and no relief.
+    shift = errors.mean(axis=0)
+    if np.linalg.norm(errors - shift) < MAX_DEVIATION * np.linalg.norm(shift) * len(errors)**0.5:
+        return False
     # An error counts by the root of its size, as the direction of a small one is noise.
     sizes = np.linalg.norm(errors, axis=1)
     line, sample = (errors / np.sqrt(np.maximum(sizes * sizes.mean(), _TINY))[:, None]).T

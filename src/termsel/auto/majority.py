@@ -91,12 +91,7 @@ UNLIKE = 0.3
 are no bend. Of bends it is at most 0.2."""
 
 MAX_DEVIATION = 0.25
-"""Deviation of errors from a shift or an affine function of the place, by their root mean square,
-up to which they are of another map."""
-
-MIN_AFFINE_POINTS = 7
-"""Points from which on errors may be an affine function of the place: twice as many as determine
-it, and one."""
+"""Deviation of errors from their mean, by the mean, up to which they are one error."""
 
 GROSS_STRAIN = 6.0
 """Standard deviations that the others disagree by, in the median."""
@@ -134,12 +129,6 @@ class Halves:
             return half
 
         return cls(designs, [list(map(among_all, halves)) for halves in halves_of_sample])
-
-    def least_noise(self, control: FitData) -> float:
-        """Return the noise of these control points, scaled, that the best half of any shows."""
-        image = control.scaled.points.image
-        return min(_noise_and_strains(design, image, halves[0])[0]
-                   for design, halves in zip(self.designs, self.of_designs, strict=True))
 
 
 def find_majority(control: FitData, halves: Halves | None = None) -> BoolArray | None:
@@ -375,8 +364,8 @@ def may_be_bend(ground: FloatArray, agreeing: BoolArray, errors: FloatArray,
     """Return whether the errors of points that disagree may be a bend of the image.
 
     The errors of a bend are alike in neighbours, and vary over the image. Those of blunders differ
-    from neighbour to neighbour, or are a shift or an affine function of the place among points that
-    have none, as of points copied from another map.
+    from neighbour to neighbour, or are one and the same among points that have none, as of points
+    copied from another map.
 
     Parameters
     ----------
@@ -392,35 +381,10 @@ def may_be_bend(ground: FloatArray, agreeing: BoolArray, errors: FloatArray,
     """
     if _unlikeness(ground[~agreeing], errors) > max_unlikeness:
         return False
-    return not are_from_another_map(ground, agreeing, errors)
-
-
-def are_from_another_map(ground: FloatArray, agreeing: BoolArray, errors: FloatArray) -> bool:
-    """Return whether points that disagree follow a map of their own, and lie among the others.
-
-    Their errors (m, 2) are a shift, as of points copied from another map, or an affine function of
-    the place, as of points in another projection or datum. `ground` (n, 2 or 3) are the places of
-    all points, `agreeing` (n,) marks those that agree.
-    """
-    return is_affine_error(ground[~agreeing], errors) and _are_interleaved(ground, agreeing)
-
-
-def is_affine_error(ground: FloatArray, errors: FloatArray) -> bool:
-    """Return whether errors (m, 2) are a shift or an affine function of their places (m, 2 or 3).
-
-    Their deviation from it is then small by their mean square.
-    """
-    m = len(errors)
-    if not m:
-        return False
-    largest = MAX_DEVIATION**2 * (errors**2).sum() / m
-    columns = [np.ones((m, 1))]
-    # Few points are near some affine function by chance.
-    if m >= MIN_AFFINE_POINTS:
-        columns.append(ground[:, :2])
-    design = np.hstack(columns)
-    residuals = errors - design @ np.linalg.lstsq(design, errors)[0]
-    return bool((residuals**2).sum() / max(m - design.shape[1], 1) < largest)
+    shift = errors.mean(axis=0)
+    deviation = np.sqrt(((errors - shift) ** 2).sum(axis=1).mean())
+    is_one_error = deviation < MAX_DEVIATION * np.linalg.norm(shift)
+    return not (is_one_error and _are_interleaved(ground, agreeing))
 
 
 def _are_interleaved(ground: FloatArray, agreeing: BoolArray) -> bool:

@@ -17,8 +17,7 @@ from msgspec.structs import replace as changed
 from termsel.auto.auto import Auto
 from termsel.auto.blunders import agreement, find_blunders, judge_others
 from termsel.auto.contradictions import Division
-from termsel.auto.majority import MAX_BLUNDER_SHARE, MIN_POINTS
-from termsel.auto.mixture import second_group
+from termsel.auto.majority import MAX_BLUNDER_SHARE
 from termsel.auto.rule import Choice, method_of
 from termsel.data.features import FeatureSet, FloatArray, IntArray, Points, select
 from termsel.data.fit_data import MEASURED, FitData, distance_off_plane
@@ -148,9 +147,6 @@ UNLIKELY_DEVIATIONS = 2.3
 """Standard deviations by which blunders among independent points may be more than expected: with a
 chance of a hundredth they are."""
 
-MAX_EXAMPLES = 5
-"""Points of a group that a note names."""
-
 MIN_TESTED_FEATURES = 17
 """Number of features below which a note says what errors cannot be found."""
 
@@ -222,15 +218,7 @@ def judge_features(observations: Observations, auto: Auto, tested: bool | None =
 
 
 def _note_on_contradictions(pool: FitData, suspects: Suspects) -> Iterator[str]:
-    """Yield advice if about half of the points contradict the others, and may be right."""
-    groups = second_group(pool, ~suspects.blunders) if len(pool) >= MIN_POINTS else None
-    if groups is not None:
-        group, distance = groups
-        examples = select(pool.features.ids, group)[:MAX_EXAMPLES]
-        yield (f"The points{CONTRADICT}{int((~suspects.blunders).sum())} of {len(pool)} agree on "
-               f"one map, and {int(group.sum())} on another one, {distance:,.3g} px off. The model "
-               "is that of the first, but too few are more to show which is right. Look at "
-               f"{', '.join(examples)} in the image: if they are right, leave out the others.")
+    """Yield advice if about half of the points contradict the others, but all are too few."""
     agreeing = agreement(pool)
     if agreeing is None or (~agreeing <= suspects.blunders).all():
         return
