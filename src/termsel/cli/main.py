@@ -12,7 +12,7 @@ import re
 import shlex
 import sys
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
 from importlib import import_module
@@ -36,10 +36,6 @@ from termsel.core.version import __version__
 from termsel.plugins.commands import COMMANDS, GROUPS, PACKAGES
 
 CORRECTABLE = 2
-
-RECORD = "result.json"
-"""What the folder of a result has; its own module is not imported for a slip."""
-
 
 _UNWRITABLE = {errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF,
                errno.EAGAIN}
@@ -114,9 +110,10 @@ class Commands(click.Group):
                                    hint=f"Points are fitted by: termsel run {shlex.quote(args[0])}")
             raise _unknown_command_error(args[0])
         if command is not None and not ctx.resilient_parsing:
-            _refuse_repeated(command, args[1:])
-            _refuse_numbers_as_files(command, args[1:])
-            _refuse_exchanged(args[0], command, args[1:])
+            values, order = _parsed(command, args[1:])
+            _refuse_repeated(order)
+            _refuse_numbers_as_files(command, values)
+            _refuse_exchanged(command, values, args)
         return args[0], command, args[1:]
 
     def format_commands(
@@ -297,37 +294,37 @@ def _suggested_commands(words: Sequence[str], error: TermselError) -> Iterator[s
         yield f"{verb}: {typed}"
 
 
-def _refuse_repeated(command: click.Command, words: list[str]) -> None:
+def _refuse_repeated(order: list[click.Parameter]) -> None:
     """Raise UsageError for an option of one value given twice: click drops the first silently.
 
-    Words that click cannot parse pass: the command itself says what is wrong with them.
+    `order` are the parameters as typed.
     """
-    for option, times in Counter(_parsed(command, words)[2]).items():
+    for option, times in Counter(order).items():
         if times > 1 and isinstance(option, click.Option) and not (
                 option.multiple or option.is_flag or option.count):
             raise click.UsageError(f"{option.opts[0]} is given {times} times; it takes one value.")
 
 
 def _parsed(command: click.Command,
-            words: list[str]) -> tuple[dict[str, Any], list[str], list[click.Parameter]]:
-    """Return values by parameter, words without an option, and parameters in the order typed.
+            words: list[str]) -> tuple[dict[str, Any], list[click.Parameter]]:
+    """Return values by parameter, and the parameters in the order typed.
 
-    All are empty where click cannot parse the words.
+    Both are empty where click cannot parse the words: the command itself says what is wrong.
     """
     # The parser is that of click, so that abbreviations and clusters of flags count alike.
     parser = command.make_parser(click.Context(command, resilient_parsing=True))
     try:
-        return parser.parse_args(list(words))
+        values, _, order = parser.parse_args(list(words))
     except click.UsageError:
-        return {}, [], []
+        return {}, []
+    return values, order
 
 
 _BARE_NUMBER = re.compile(r"[+-]?[0-9]+([.,][0-9]+)?")
 
 
-def _refuse_numbers_as_files(command: click.Command, words: list[str]) -> None:
+def _refuse_numbers_as_files(command: click.Command, values: Mapping[str, Any]) -> None:
     """Raise UsageError for a number where an option takes a file, unless a file is called so."""
-    values = _parsed(command, words)[0]
     options = {param.name: param for param in command.params if isinstance(param, click.Option)}
     for name, option in options.items():
         value = values.get(name)
@@ -343,13 +340,17 @@ def _refuse_numbers_as_files(command: click.Command, words: list[str]) -> None:
         raise click.UsageError(f"{option.opts[0]} takes a file, and {value} is a number. {remedy}")
 
 
-def _refuse_exchanged(name: str, command: click.Command, words: list[str]) -> None:
+def _refuse_exchanged(command: click.Command, values: Mapping[str, Any],
+                      words: list[str]) -> None:
     """Raise TermselError where a file stands before the folder of its result, as typed, exchanged.
+
+    `words` are those typed after termsel.
     """
+    from termsel.core.files.names import RECORD
+
     arguments = [param for param in command.params if isinstance(param, click.Argument)]
     if [param.metavar for param in arguments[:1]] != ["DIR"] or len(arguments) < 2:
         return
-    values = _parsed(command, words)[0]
     file, folder = (values.get(str(param.name)) for param in arguments[:2])
     if not (isinstance(file, str) and isinstance(folder, str) and os.path.isfile(file)
             and os.path.isfile(os.path.join(folder, RECORD))):
@@ -358,7 +359,7 @@ def _refuse_exchanged(name: str, command: click.Command, words: list[str]) -> No
     missing = [word for param in command.params if isinstance(param, click.Option)
                and param.required and values.get(str(param.name)) is None
                for word in (param.opts[0], str(param.metavar))]
-    typed = shlex.join([name, *(exchanged.get(word, word) for word in words), *missing])
+    typed = shlex.join([*(exchanged.get(word, word) for word in words), *missing])
     raise TermselError("the folder of the result comes first, then the file", file=file,
                        hint=f"Type termsel {typed}")
 

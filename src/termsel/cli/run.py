@@ -43,8 +43,9 @@ def run(verbose: bool, checkpoint: Path | None, files: tuple[Path, ...], **argum
     settings = RunOptions(**with_files(files, arguments))
     show_messages()
 
+    from termsel.core.files.names import RECORD
     from termsel.io.replacing import require_replaceable
-    from termsel.io.result_folder import RECORD, files_of_result, names_of
+    from termsel.io.result_folder import files_of_result, names_of
     from termsel.results.first_screen import next_step_for_user, options_of_next_run
     from termsel.runs import run as running
 

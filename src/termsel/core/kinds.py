@@ -155,10 +155,12 @@ def _is_numeric(value: object) -> bool:
         return True
     try:
         # Of complex numbers numpy would take the real part.
-        return value is not None and not np.iscomplexobj(np.asarray(value)) and bool(
-            np.asarray(value, dtype=np.float64).ndim >= 0)
+        if value is None or np.iscomplexobj(np.asarray(value)):
+            return False
+        np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):  # no numbers, or rows of several lengths
         return False
+    return True
 
 
 def _first_no_number(value: object) -> str:

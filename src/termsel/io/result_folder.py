@@ -16,6 +16,7 @@ from termsel.core.files.lock import lock_folder
 from termsel.core.files.names import (
     CERTIFICATE,
     JOURNAL,
+    RECORD,
     STABILITY,
     is_there,
     path_inside,
@@ -40,7 +41,7 @@ from termsel.results.result import (
     require_result,
 )
 
-RECORD, POINTS, LINES = "result.json", "points.csv", "lines.csv"
+POINTS, LINES = "points.csv", "lines.csv"
 RESIDUALS, SUMMARY = "residuals.csv", "summary.txt"
 FILES = (RECORD, POINTS, LINES, RESIDUALS, SUMMARY, CERTIFICATE, STABILITY)
 _PENDING = ".termsel-pending"

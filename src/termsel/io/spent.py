@@ -10,12 +10,13 @@ import numpy as np
 from msgspec import structs
 
 from termsel.core.errors import TermselError, first_names_in_words
+from termsel.core.files.names import RECORD
 from termsel.data.features import Points
 from termsel.data.record.figures import as_plain_data
 from termsel.data.record.record import Record
 from termsel.formats.base import parse_json, read_utf8
 from termsel.formats.readers.csv_tables import PointsCsv
-from termsel.io.result_folder import POINTS, RECORD
+from termsel.io.result_folder import POINTS
 from termsel.io.result_of_record import AGAIN, record_from
 from termsel.results.result import Result
 

@@ -91,6 +91,9 @@ def _positions_where_possible(fitted: Fit, ground: FloatArray) -> FloatArray:
 
     A camera refuses what lies outside the CRS, as ten times an easting may.
     """
+    with suppress(TermselError):
+        return fitted.project(ground)
+    # One of them is refused with all others.
     positions = np.full((len(ground), 2), np.nan)
     for i, place in enumerate(ground):
         with suppress(TermselError):

@@ -17,12 +17,11 @@ from termsel.core.arguments import explains_arguments
 from termsel.core.errors import TermselError, count_in_words, shown_value
 from termsel.core.files.atomic import make_folder, private_folder
 from termsel.core.files.lock import lock_folder
-from termsel.core.files.names import JOURNAL
+from termsel.core.files.names import JOURNAL, RECORD
 from termsel.core.isolation.parts import value_of_slot
 from termsel.core.options import options_of_file
 from termsel.data.features import FeatureSet
 from termsel.io.export import writer_of
-from termsel.io.result_folder import RECORD
 from termsel.plugins.registry import registry
 from termsel.runs.finding import package_versions
 from termsel.runs.notebook import line_of_many

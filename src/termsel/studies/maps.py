@@ -11,9 +11,9 @@ from shlex import join, quote
 
 from termsel.core.errors import TermselError, count_in_words, first_names_in_words
 from termsel.core.files.endings import RASTERS
-from termsel.core.files.names import JOURNAL, free_name, is_there
+from termsel.core.files.names import JOURNAL, RECORD, free_name, is_there
 from termsel.core.files.texts import csv_table
-from termsel.io.result_folder import RECORD, read_result
+from termsel.io.result_folder import read_result
 from termsel.results.result import Result
 from termsel.studies.cells.folder import read_study
 from termsel.studies.cells.images import IMAGES, folders_of, stem_of

@@ -7,6 +7,7 @@ from termsel.core.files.drivers import program_environment as program_environmen
 from termsel.core.files.drivers import remote_allowed as remote_allowed
 from termsel.core.files.mismatches import KINDS_OF_JSON as KINDS_OF_JSON
 from termsel.core.files.mismatches import mismatch_in_words as mismatch_in_words
+from termsel.core.files.names import RECORD as RECORD
 from termsel.core.files.names import STABILITY as STABILITY
 from termsel.core.files.names import refuse_links as refuse_links
 from termsel.core.files.names import utf8_name as utf8_name
@@ -55,6 +56,5 @@ from termsel.io.map_grid import grid_of_image as grid_of_image
 from termsel.io.map_grid import map_crs as map_crs
 from termsel.io.plan import plan as plan
 from termsel.io.read import parts_of as parts_of
-from termsel.io.result_folder import RECORD as RECORD
 from termsel.io.result_folder import lock_output_folder as lock_output_folder
 from termsel.io.result_folder import results_within as results_within

@@ -17,6 +17,9 @@ from termsel.core.files.atomic import private_folder
 JOURNAL = "journal.jsonl"
 """Of a study: in the folder that has it, no result may be written."""
 
+RECORD = "result.json"
+"""Of a result: a folder that has it is one."""
+
 CERTIFICATE = "certificate.json"
 """Of the proof of `exact`, in the folder of a result."""
 
